@@ -1,0 +1,215 @@
+"""The records that cross the walls between stages; all frozen, arrays never written to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+from slamcli.core.geometry import invert
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from slamcli.core.geometry import Grid, Pose2
+
+DistortionModel = Literal["plumb_bob", "rational_polynomial", "equidistant"]
+LinkKind = Literal["step", "loop", "odometry", "compass", "gps"]
+Status = Literal["tracked", "predicted", "lost"]
+Unit = Literal["m", "px"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """A camera over a flat floor.
+
+    The robot frame lies on the floor straight below the camera: x ahead (the floor projection of
+    the optical axis), y left, z up (ROS REP 103).
+
+    Attributes
+    ----------
+    camera_matrix : (3, 3) float64, pixels
+    distortion : (k,) float64
+        Coefficients of `distortion_model`, in ROS camera_info order.
+    distortion_model : str
+        ``plumb_bob`` (k 4 or 5), ``rational_polynomial`` (k 8) or ``equidistant`` (fisheye, k 4).
+    image_size : (int, int)
+        Width and height in pixels.
+    robot_from_image : (3, 3) float64
+        Undistorted pixel (column, row) to floor metres (x, y).
+    height_metres : float
+        Of the camera's centre above the floor.
+    pitch_radians : float
+        Of the optical axis below the horizontal: positive looks down.
+    roll_radians : float
+        About the optical axis: positive lowers the camera's right side.
+    max_range_metres : float
+        Distance on the floor from the robot's origin beyond which the image is not used.
+    focal_sigma_pixels, height_sigma_metres, pitch_sigma_radians, roll_sigma_radians : float
+        One standard deviation of each; nan where it is not known.
+    unit : str
+        ``m``, or ``px`` for top-down frames without a calibration, where every "metre" is a pixel
+        and height, pitch and roll are nan.
+    """
+
+    camera_matrix: NDArray[np.float64]
+    distortion: NDArray[np.float64]
+    distortion_model: DistortionModel
+    image_size: tuple[int, int]
+    robot_from_image: NDArray[np.float64]
+    height_metres: float
+    pitch_radians: float
+    roll_radians: float
+    max_range_metres: float
+    focal_sigma_pixels: float = float("nan")
+    height_sigma_metres: float = float("nan")
+    pitch_sigma_radians: float = float("nan")
+    roll_sigma_radians: float = float("nan")
+    unit: Unit = "m"
+
+    @property
+    def image_from_robot(self) -> NDArray[np.float64]:
+        """(3, 3): floor metres to undistorted pixel; w > 0 in front of the camera."""
+        return invert(self.robot_from_image)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One picture of a sequence.
+
+    Attributes
+    ----------
+    index : int
+        Place in the sequence, from 0.
+    name : str
+    stamp : float or None
+        Seconds.
+    image : (H, W, 3) or (H, W) uint8, BGR or gray
+    """
+
+    index: int
+    name: str
+    stamp: float | None
+    image: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A bird's-eye picture of the floor.
+
+    Attributes
+    ----------
+    grid : Grid
+        In the robot frame: the robot looks along x, to the right of the picture.
+    image : (h, w) or (h, w, 3) uint8
+    mask : (h, w) uint8
+        255 where floor was really seen, else 0.
+    """
+
+    grid: Grid
+    image: NDArray[np.uint8]
+    mask: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """Points of the floor with what they look like; above this record there are no pixels.
+
+    Attributes
+    ----------
+    points : (N, 2) float32, metres, robot frame
+    descriptors : (N, D) uint8 (compare by Hamming distance) or float32 (by L2)
+    scores : (N,) float32
+        The detector's response: larger is stronger.
+    sigmas : (N, 2) float32, metres
+        One standard deviation along the line of sight on the floor, and across it.
+    """
+
+    points: NDArray[np.float32]
+    descriptors: NDArray[np.uint8] | NDArray[np.float32]
+    scores: NDArray[np.float32]
+    sigmas: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Link:
+    """A measured motion between two frames.
+
+    Attributes
+    ----------
+    a, b : int
+        Frame indices.
+    a_from_b : Pose2
+    covariance : (3, 3) float64
+        Of x, y (m) and theta (rad), in b's own axes (GTSAM's tangent space).
+    inliers : int
+    score : float
+        Zero-mean normalised cross-correlation of the overlap's pixels, in [-1, 1].
+    kind : str
+    """
+
+    a: int
+    b: int
+    a_from_b: Pose2
+    covariance: NDArray[np.float64]
+    inliers: int
+    score: float
+    kind: LinkKind
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseEstimate:
+    """Where the robot was for one frame, or why that is not known.
+
+    Attributes
+    ----------
+    index, name, stamp
+        Of the frame.
+    map_from_robot : Pose2 or None
+        None when lost.
+    status : str
+    reason : str
+        Why the frame is not tracked; empty when it is.
+    fragment : int
+        Which connected map the pose belongs to; -1 when lost.
+    covariance : (3, 3) float64 or None
+        Of x, y (m), theta (rad), in the robot's own axes.
+    inliers : int
+    score : float
+        Of the best link that placed the frame; nan without one.
+    revised : tuple of int
+        Frames whose earlier estimates this update changed.
+    """
+
+    index: int
+    name: str
+    stamp: float | None
+    map_from_robot: Pose2 | None
+    status: Status
+    reason: str = ""
+    fragment: int = -1
+    covariance: NDArray[np.float64] | None = None
+    inliers: int = 0
+    score: float = float("nan")
+    revised: tuple[int, ...] = field(default=())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tile:
+    """A painted piece of the map.
+
+    Attributes
+    ----------
+    grid : Grid
+        In the map frame.
+    image : (h, w, 3) uint8, BGR
+    weight : (h, w) float32
+        How well the painted pixel was seen; 0 where nothing was.
+    """
+
+    grid: Grid
+    image: NDArray[np.uint8]
+    weight: NDArray[np.float32]

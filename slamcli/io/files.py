@@ -1,0 +1,126 @@
+"""Writing that leaves a whole file or none: beside its place first, then renamed into it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slamcli.core.errors import InputError, OutputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all; raises OutputError that names it."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.")
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(data)
+            # mkstemp makes the file private; a result is as readable as the user's umask allows.
+            umask = os.umask(0)
+            os.umask(umask)
+            os.chmod(beside, 0o666 & ~umask)  # noqa: PTH101
+            os.replace(beside, path)  # noqa: PTH105
+        except BaseException:
+            os.unlink(beside)  # noqa: PTH108
+            raise
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a UTF-8 text file whole or not at all."""
+    write_bytes(path, text.encode())
+
+
+def write_image(path: Path, image: NDArray[np.uint8], *, jpeg_quality: int = 95) -> None:
+    """Write gray, BGR or BGRA pixels; the format follows the name's suffix (.png, .jpg).
+
+    A fast PNG compression is chosen: time matters more than the last tenth of the size.
+    """
+    if path.suffix.lower() in {".jpg", ".jpeg"}:
+        parameters = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
+    else:
+        parameters = [cv2.IMWRITE_PNG_COMPRESSION, 3]
+    encoded, data = cv2.imencode(path.suffix.lower(), image, parameters)
+    if not encoded:
+        raise OutputError(f"cannot write {path}: a picture of {image.shape} cannot be encoded")
+    write_bytes(path, data.tobytes())
+
+
+def refuse_existing(path: Path, *, overwrite: bool) -> None:
+    """Raise OutputError when a file stands where one is to be written and may not be replaced."""
+    if path.is_dir():
+        raise OutputError(f"cannot write {path}: it is a folder; name a file")
+    if path.exists() and not overwrite:
+        raise OutputError(f"{path} exists; use --overwrite or another --output")
+
+
+@contextmanager
+def output_folder(folder: Path, products: tuple[str, ...], *, overwrite: bool) -> Iterator[Path]:
+    """Yield an empty staging folder; on success its entries move into `folder`, else it vanishes.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the results go; made when missing.
+    products : tuple of str
+        Glob patterns of the names that this command may write into `folder`. One that is there
+        already is an error, unless `overwrite`, which removes it. Nothing else is ever touched.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written or holds earlier products.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"cannot write into {folder}: it is a file; name a folder")
+    earlier = _products_in(folder, products)
+    if earlier and not overwrite:
+        raise OutputError(
+            f"{folder} already holds {earlier[0].name}; use --overwrite or another --output"
+        )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        staging_name = tempfile.mkdtemp(dir=folder, prefix=".partial-")
+    except OSError as error:
+        raise OutputError(f"cannot write into {folder}: {error.strerror or error}") from error
+    staging = folder / os.path.basename(staging_name)  # noqa: PTH119
+    try:
+        yield staging
+        for path in _products_in(folder, products):
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+        for path in sorted(staging.iterdir()):
+            path.replace(folder / path.name)
+    except OSError as error:
+        raise OutputError(f"cannot write into {folder}: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def read_text(path: Path, what: str) -> str:
+    """Return a text file's content; raises InputError that names it and says `what` it should be."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise InputError(f"cannot read the {what} {path}: {reason}") from error
+
+
+def _products_in(folder: Path, products: tuple[str, ...]) -> list[Path]:
+    return sorted({path for pattern in products for path in folder.glob(pattern)})

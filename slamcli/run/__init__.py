@@ -1,0 +1,1 @@
+"""What each command does, without click: inputs opened, stages called in order, outputs written."""

@@ -1,0 +1,302 @@
+"""The camera over the floor: projection both ways, lens distortion, and how finely it sees.
+
+Pinhole model and distortion polynomials as in ROS camera_info / OpenCV: ``plumb_bob`` and
+``rational_polynomial`` are Brown-Conrady, ``equidistant`` is Kannala-Brandt (fisheye).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slamcli.core.errors import CalibrationError
+from slamcli.core.geometry import Grid, apply_homography, invert
+from slamcli.core.records import Calibration
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+# Beyond this multiple of the sampling at the near edge, a pixel smears so much floor that a patch
+# no longer looks like itself from one step nearer.
+FAR_TO_NEAR_SAMPLING_RATIO = 12.0
+# A sampling of the image's border fine enough that its floor outline is smooth.
+_OUTLINE_POINTS_PER_SIDE = 48
+_ROUND_STEPS = (1.0, 2.0, 5.0, 10.0)
+
+
+def robot_from_camera_rotation(pitch_radians: float, roll_radians: float) -> NDArray[np.float64]:
+    """Return the (3, 3) rotation from optical (x right, y down, z ahead) to robot axes."""
+    level = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    cos_pitch, sin_pitch = math.cos(pitch_radians), math.sin(pitch_radians)
+    cos_roll, sin_roll = math.cos(roll_radians), math.sin(roll_radians)
+    about_y = np.array([[cos_pitch, 0.0, sin_pitch], [0.0, 1.0, 0.0], [-sin_pitch, 0.0, cos_pitch]])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cos_roll, -sin_roll], [0.0, sin_roll, cos_roll]])
+    rotation: NDArray[np.float64] = about_y @ about_x @ level
+    return rotation
+
+
+def image_from_robot_homography(
+    camera_matrix: NDArray[np.float64],
+    height_metres: float,
+    pitch_radians: float,
+    roll_radians: float,
+) -> NDArray[np.float64]:
+    """Return the (3, 3) homography from floor metres to undistorted pixels.
+
+    The camera's centre is (0, 0, height) in the robot frame, so a floor point (x, y) is seen along
+    ``K R^T (x, y, -height)`` (Hartley and Zisserman, Multiple View Geometry, 8.1). The third
+    coordinate is the depth along the optical axis: positive in front of the camera.
+    """
+    camera_from_robot = robot_from_camera_rotation(pitch_radians, roll_radians).T
+    plane = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -height_metres]])
+    homography: NDArray[np.float64] = camera_matrix @ camera_from_robot @ plane
+    return homography
+
+
+def compose_robot_from_image(
+    camera_matrix: NDArray[np.float64],
+    height_metres: float,
+    pitch_radians: float,
+    roll_radians: float,
+) -> NDArray[np.float64]:
+    """Return the (3, 3) homography from undistorted pixels to floor metres."""
+    return invert(
+        image_from_robot_homography(camera_matrix, height_metres, pitch_radians, roll_radians)
+    )
+
+
+def top_down_calibration(image_size: tuple[int, int]) -> Calibration:
+    """Return the stand-in for frames taken straight down, in pixel units.
+
+    The robot frame has its origin at the image's centre, x to the right and y up.
+    """
+    width, height = image_size
+    centre = Grid(0.0, 0.0, 1.0, width, height).pixel_from_metres @ (width / 2, -height / 2, 1.0)
+    robot_from_image = np.array([[1.0, 0.0, -centre[0]], [0.0, -1.0, centre[1]], [0.0, 0.0, 1.0]])
+    return Calibration(
+        camera_matrix=np.array(
+            [[max(image_size), 0.0, centre[0]], [0.0, max(image_size), centre[1]], [0.0, 0.0, 1.0]]
+        ),
+        distortion=np.zeros(5),
+        distortion_model="plumb_bob",
+        image_size=image_size,
+        robot_from_image=robot_from_image,
+        height_metres=math.nan,
+        pitch_radians=math.nan,
+        roll_radians=math.nan,
+        max_range_metres=math.hypot(width, height),
+        unit="px",
+    )
+
+
+def undistort_points(calibration: Calibration, pixels: ArrayLike) -> NDArray[np.float64]:
+    """Map (N, 2) pixels of the camera's own picture to (N, 2) undistorted pixels."""
+    points = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+    if not np.any(calibration.distortion):
+        return points.copy()
+    matrix, distortion = calibration.camera_matrix, calibration.distortion
+    # OpenCV's iteration stops early by default; a camera model has to invert to well below a pixel.
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
+    if calibration.distortion_model == "equidistant":
+        mapped = cv2.fisheye.undistortPoints(
+            points[:, None], matrix, distortion[:4], P=matrix, criteria=criteria
+        )
+    else:
+        mapped = cv2.undistortPoints(
+            points[:, None], matrix, distortion, P=matrix, criteria=criteria
+        )
+    return np.asarray(mapped, dtype=np.float64).reshape(-1, 2)
+
+
+def distort_points(calibration: Calibration, pixels: ArrayLike) -> NDArray[np.float64]:
+    """Map (N, 2) undistorted pixels to (N, 2) pixels of the camera's own picture."""
+    points = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+    if not np.any(calibration.distortion):
+        return points.copy()
+    matrix, distortion = calibration.camera_matrix, calibration.distortion
+    normalised = apply_homography(invert(matrix), points)
+    if calibration.distortion_model == "equidistant":
+        mapped = cv2.fisheye.distortPoints(normalised[:, None], matrix, distortion[:4])
+    else:
+        rays = np.column_stack([normalised, np.ones(len(normalised))])
+        mapped, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, distortion)
+    return np.asarray(mapped, dtype=np.float64).reshape(-1, 2)
+
+
+def project_floor(
+    calibration: Calibration, points: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Project floor points into the camera's own picture.
+
+    Parameters
+    ----------
+    points : (N, 2) array, metres, robot frame
+
+    Returns
+    -------
+    pixels : (N, 2) array
+        Meaningful only where seen.
+    seen : (N,) bool
+        In front of the camera, inside the picture, within the calibration's range.
+    """
+    floor = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+    depth = floor @ calibration.image_from_robot[2, :2] + calibration.image_from_robot[2, 2]
+    in_front = depth > 0.0
+    undistorted = np.full_like(floor, np.nan)
+    undistorted[in_front] = apply_homography(calibration.image_from_robot, floor[in_front])
+    low, high = _undistorted_bounds(calibration)
+    # Outside the undistorted picture the lens polynomial may fold back into it.
+    in_bounds = in_front & np.all((undistorted >= low) & (undistorted <= high), axis=1)
+    pixels = np.full_like(floor, np.nan)
+    pixels[in_bounds] = distort_points(calibration, undistorted[in_bounds])
+    width, height = calibration.image_size
+    seen = in_bounds & (np.hypot(floor[:, 0], floor[:, 1]) <= calibration.max_range_metres)
+    seen[seen] = np.all((pixels[seen] >= 0) & (pixels[seen] <= (width - 1, height - 1)), axis=1)
+    return pixels, seen
+
+
+def floor_sampling(calibration: Calibration, points: ArrayLike) -> NDArray[np.float64]:
+    """Return how many metres of floor one pixel covers at (N, 2) points in the robot frame.
+
+    Returns
+    -------
+    (N, 2) array, metres per pixel: along the line of sight on the floor, and across it; from the
+    Jacobian of the floor homography (lens distortion is left out: it changes this by little).
+    """
+    floor = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+    homography = calibration.image_from_robot
+    denominator = floor @ homography[2, :2] + homography[2, 2]
+    pixels = apply_homography(homography, floor)
+    jacobian = (
+        homography[None, :2, :2] - pixels[:, :, None] * homography[None, 2:, :2]
+    ) / denominator[:, None, None]
+    along, across = line_of_sight_axes(floor)
+    pixels_per_metre = np.stack(
+        [
+            np.linalg.norm(np.einsum("nij,nj->ni", jacobian, along), axis=1),
+            np.linalg.norm(np.einsum("nij,nj->ni", jacobian, across), axis=1),
+        ],
+        axis=1,
+    )
+    sampling: NDArray[np.float64] = 1.0 / pixels_per_metre
+    return sampling
+
+
+def line_of_sight_axes(
+    points: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the unit vectors on the floor along and across the line of sight, each (N, 2)."""
+    distance = np.hypot(points[:, 0], points[:, 1])
+    straight_below = distance < 1e-12
+    along = np.where(
+        straight_below[:, None],
+        np.array([1.0, 0.0]),
+        points / np.where(straight_below, 1.0, distance)[:, None],
+    )
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    return along, across
+
+
+def image_outline(image_size: tuple[int, int]) -> NDArray[np.float64]:
+    """Return (4 n, 2) pixels around the picture's border, clockwise from the upper left."""
+    width, height = image_size
+    step = np.linspace(0.0, 1.0, _OUTLINE_POINTS_PER_SIDE, endpoint=False)
+    zero, one = np.zeros_like(step), np.ones_like(step)
+    unit = np.concatenate(
+        [
+            np.column_stack([step, zero]),
+            np.column_stack([one, step]),
+            np.column_stack([1.0 - step, one]),
+            np.column_stack([zero, 1.0 - step]),
+        ]
+    )
+    outline: NDArray[np.float64] = unit * (width - 1, height - 1)
+    return outline
+
+
+def seen_floor(calibration: Calibration) -> NDArray[np.float64]:
+    """Return (N, 2) floor points, metres, that fill the usable region about evenly in the picture.
+
+    Raises
+    ------
+    CalibrationError
+        When the camera sees no floor within its range.
+    """
+    width, height = calibration.image_size
+    columns, rows = np.meshgrid(np.linspace(0, width - 1, 65), np.linspace(0, height - 1, 129))
+    pixels = undistort_points(calibration, np.column_stack([columns.ravel(), rows.ravel()]))
+    homogeneous = np.column_stack([pixels, np.ones(len(pixels))])
+    depth_sign = homogeneous @ calibration.robot_from_image[2]
+    floor = apply_homography(calibration.robot_from_image, pixels[depth_sign > 0])
+    floor = floor[np.hypot(floor[:, 0], floor[:, 1]) <= calibration.max_range_metres]
+    if len(floor) < 8:
+        raise CalibrationError(
+            "the calibration sees no floor within "
+            f"{calibration.max_range_metres:.3g} m; calibrate again or raise --max-range"
+        )
+    return floor
+
+
+def footprint(calibration: Calibration, metres_per_pixel: float) -> Grid:
+    """Return the smallest grid in the robot frame that covers the usable floor."""
+    floor = seen_floor(calibration)
+    # The lattice of seen_floor stops short of the far limit; rays at that limit close the gap.
+    bearings = np.linspace(-math.pi, math.pi, 1441)
+    far = calibration.max_range_metres * np.column_stack([np.cos(bearings), np.sin(bearings)])
+    _, seen = project_floor(calibration, far * (1.0 - 1e-9))
+    return Grid.covering(np.vstack([floor, far[seen]]), metres_per_pixel)
+
+
+def mean_sampling(calibration: Calibration, points: ArrayLike) -> NDArray[np.float64]:
+    """Return (N,) metres per pixel: the geometric mean of the two directions."""
+    mean: NDArray[np.float64] = np.sqrt(np.prod(floor_sampling(calibration, points), axis=1))
+    return mean
+
+
+def default_metres_per_pixel(calibration: Calibration) -> float:
+    """Return a round resolution (1, 2 or 5 times a power of ten) fit for what most pixels saw."""
+    if calibration.unit == "px":
+        return 1.0
+    typical = float(np.median(mean_sampling(calibration, seen_floor(calibration))))
+    power = 10.0 ** math.floor(math.log10(typical))
+    return power * max(step for step in _ROUND_STEPS if step * power <= typical * (1 + 1e-9))
+
+
+def choose_max_range(
+    camera_matrix: NDArray[np.float64],
+    image_from_robot: NDArray[np.float64],
+    image_size: tuple[int, int],
+) -> float:
+    """Return the distance, metres, at which one pixel covers too much floor to be of use.
+
+    "Features in the distance are distorted beyond recognition" (the 2015 thesis): beyond
+    `FAR_TO_NEAR_SAMPLING_RATIO` times the sampling at the near edge, measured along the line of
+    sight, a patch is smeared; a camera whose whole picture is better than that keeps all of it.
+    """
+    probe = Calibration(
+        camera_matrix=camera_matrix,
+        distortion=np.zeros(5),
+        distortion_model="plumb_bob",
+        image_size=image_size,
+        robot_from_image=invert(image_from_robot),
+        height_metres=math.nan,
+        pitch_radians=math.nan,
+        roll_radians=math.nan,
+        max_range_metres=math.inf,
+    )
+    floor = seen_floor(probe)
+    along = floor_sampling(probe, floor)[:, 0]
+    usable = along <= FAR_TO_NEAR_SAMPLING_RATIO * along.min()
+    return float(np.hypot(floor[usable, 0], floor[usable, 1]).max())
+
+
+def _undistorted_bounds(
+    calibration: Calibration,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lowest and highest undistorted pixel (2,) that the picture's border maps to."""
+    outline = undistort_points(calibration, image_outline(calibration.image_size))
+    margin = 1.0
+    return outline.min(axis=0) - margin, outline.max(axis=0) + margin
