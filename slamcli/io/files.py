@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import cv2
-import numpy as np
 
 from slamcli.core.errors import InputError, OutputError
 
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    import numpy as np
     from numpy.typing import NDArray
 
 
@@ -114,7 +114,7 @@ def output_folder(folder: Path, products: tuple[str, ...], *, overwrite: bool) -
 
 
 def read_text(path: Path, what: str) -> str:
-    """Return a text file's content; raises InputError that names it and says `what` it should be."""
+    """Return a text file's content; raises InputError that names it and `what` it should be."""
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
