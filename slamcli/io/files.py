@@ -114,7 +114,7 @@ def output_folder(folder: Path, products: tuple[str, ...], *, overwrite: bool) -
 
 
 def read_text(path: Path, what: str) -> str:
-    """Return a text file's content; raises InputError that names it and `what` it should be."""
+    """Return a text file's content; raises InputError that names it and says what it is."""
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
