@@ -7,17 +7,21 @@ Pinhole model and distortion polynomials as in ROS camera_info / OpenCV: ``plumb
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import Grid, apply_homography, invert
-from slamcli.core.records import Calibration
+from slamcli.core.records import Calibration, Intrinsics
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+    from slamcli.core.geometry import Pose2
 
 # Beyond this multiple of the sampling at the near edge, a pixel smears so much floor that a patch
 # no longer looks like itself from one step nearer.
@@ -25,6 +29,14 @@ FAR_TO_NEAR_SAMPLING_RATIO = 12.0
 # A sampling of the image's border fine enough that its floor outline is smooth.
 _OUTLINE_POINTS_PER_SIDE = 48
 _ROUND_STEPS = (1.0, 2.0, 5.0, 10.0)
+
+Lens = Calibration | Intrinsics
+
+
+def image_centre(image_size: tuple[int, int]) -> tuple[float, float]:
+    """Return the (column, row) of a picture's middle, where a pixel's centre is a whole number."""
+    width, height = image_size
+    return (width - 1) / 2, (height - 1) / 2
 
 
 def robot_from_camera_rotation(pitch_radians: float, roll_radians: float) -> NDArray[np.float64]:
@@ -92,7 +104,7 @@ def top_down_calibration(image_size: tuple[int, int]) -> Calibration:
     )
 
 
-def undistort_points(calibration: Calibration, pixels: ArrayLike) -> NDArray[np.float64]:
+def undistort_points(calibration: Lens, pixels: ArrayLike) -> NDArray[np.float64]:
     """Map (N, 2) pixels of the camera's own picture to (N, 2) undistorted pixels."""
     points = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
     if not np.any(calibration.distortion):
@@ -111,7 +123,7 @@ def undistort_points(calibration: Calibration, pixels: ArrayLike) -> NDArray[np.
     return np.asarray(mapped, dtype=np.float64).reshape(-1, 2)
 
 
-def distort_points(calibration: Calibration, pixels: ArrayLike) -> NDArray[np.float64]:
+def distort_points(calibration: Lens, pixels: ArrayLike) -> NDArray[np.float64]:
     """Map (N, 2) undistorted pixels to (N, 2) pixels of the camera's own picture."""
     points = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
     if not np.any(calibration.distortion):
@@ -185,6 +197,23 @@ def floor_sampling(calibration: Calibration, points: ArrayLike) -> NDArray[np.fl
     return sampling
 
 
+def range_sigma(
+    calibration: Calibration, points: ArrayLike, tilt_sigma_radians: float
+) -> NDArray[np.float64]:
+    """Return (N,) metres by which floor points shift along the line of sight when the camera tilts.
+
+    A point at distance d, seen from height h under the angle atan(h / d), moves by
+    (d^2 + h^2) / h for a radian. Zero where the height is not known.
+    """
+    floor = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+    if not math.isfinite(calibration.height_metres):
+        return np.zeros(len(floor))
+    squared = np.einsum("ni,ni->n", floor, floor)
+    height = calibration.height_metres
+    sigma: NDArray[np.float64] = (squared + height**2) / height * tilt_sigma_radians
+    return sigma
+
+
 def line_of_sight_axes(
     points: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -240,14 +269,20 @@ def seen_floor(calibration: Calibration) -> NDArray[np.float64]:
     return floor
 
 
-def footprint(calibration: Calibration, metres_per_pixel: float) -> Grid:
-    """Return the smallest grid in the robot frame that covers the usable floor."""
+def footprint_hull(calibration: Calibration) -> NDArray[np.float64]:
+    """Return the (N, 2) convex outline, metres in the robot frame, of the usable floor."""
     floor = seen_floor(calibration)
     # The lattice of seen_floor stops short of the far limit; rays at that limit close the gap.
     bearings = np.linspace(-math.pi, math.pi, 1441)
     far = calibration.max_range_metres * np.column_stack([np.cos(bearings), np.sin(bearings)])
     _, seen = project_floor(calibration, far * (1.0 - 1e-9))
-    return Grid.covering(np.vstack([floor, far[seen]]), metres_per_pixel)
+    points = np.vstack([floor, far[seen]])
+    return points[ConvexHull(points).vertices]
+
+
+def footprint(calibration: Calibration, metres_per_pixel: float) -> Grid:
+    """Return the smallest grid in the robot frame that covers the usable floor."""
+    return Grid.covering(footprint_hull(calibration), metres_per_pixel)
 
 
 def mean_sampling(calibration: Calibration, points: ArrayLike) -> NDArray[np.float64]:
@@ -263,6 +298,67 @@ def default_metres_per_pixel(calibration: Calibration) -> float:
     typical = float(np.median(mean_sampling(calibration, seen_floor(calibration))))
     power = 10.0 ** math.floor(math.log10(typical))
     return power * max(step for step in _ROUND_STEPS if step * power <= typical * (1 + 1e-9))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SamplingMap:
+    """Where in the camera's own picture each pixel of a floor raster is seen.
+
+    Attributes
+    ----------
+    pixels : (h, w, 2) float32
+        Column and row in the camera's picture; meaningful only where seen.
+    seen : (h, w) bool
+    sampling : (h, w) float32
+        Metres of floor per camera pixel, geometric mean of both directions; inf where not seen.
+    """
+
+    pixels: NDArray[np.float32]
+    seen: NDArray[np.bool_]
+    sampling: NDArray[np.float32]
+
+
+def sampling_map(calibration: Calibration, grid: Grid, robot_from_grid: Pose2) -> SamplingMap:
+    """Project every pixel of a floor raster into the camera's own picture, lens included.
+
+    Parameters
+    ----------
+    grid : Grid
+        In any frame on the floor (the robot's own, or the map).
+    robot_from_grid : Pose2
+        Where that frame lies for the robot.
+    """
+    robot_from_pixel = robot_from_grid.matrix @ grid.metres_from_pixel
+    homography = calibration.image_from_robot @ robot_from_pixel
+    normalised_from_pixel = invert(calibration.camera_matrix) @ homography
+    # OpenCV's rectification maps take any plane homography for the "rotation" and apply the lens.
+    arguments = (invert(normalised_from_pixel), np.eye(3), (grid.width, grid.height))
+    if calibration.distortion_model == "equidistant":
+        columns, rows = cv2.fisheye.initUndistortRectifyMap(
+            calibration.camera_matrix, calibration.distortion[:4], *arguments, cv2.CV_32FC1
+        )
+    else:
+        columns, rows = cv2.initUndistortRectifyMap(
+            calibration.camera_matrix, calibration.distortion, *arguments, cv2.CV_32FC1
+        )
+    column, row = np.arange(grid.width)[None, :], np.arange(grid.height)[:, None]
+    denominators = [h[0] * column + h[1] * row + h[2] for h in homography]
+    depth = denominators[2]
+    x = robot_from_pixel[0, 0] * column + robot_from_pixel[0, 1] * row + robot_from_pixel[0, 2]
+    y = robot_from_pixel[1, 0] * column + robot_from_pixel[1, 1] * row + robot_from_pixel[1, 2]
+    width, height = calibration.image_size
+    seen = (depth > 0) & (x * x + y * y <= calibration.max_range_metres**2)
+    seen &= (columns >= 0) & (columns <= width - 1) & (rows >= 0) & (rows <= height - 1)
+    if np.any(calibration.distortion):
+        # Outside the undistorted picture the lens polynomial may fold back into it.
+        low, high = _undistorted_bounds(calibration)
+        seen &= (denominators[0] >= low[0] * depth) & (denominators[0] <= high[0] * depth)
+        seen &= (denominators[1] >= low[1] * depth) & (denominators[1] <= high[1] * depth)
+    # A pixel covers w^3 / |det H| of floor: the inverse Jacobian determinant of x -> Hx/w.
+    determinant = abs(float(np.linalg.det(calibration.image_from_robot)))
+    sampling = np.full(seen.shape, np.inf, dtype=np.float32)
+    np.sqrt(depth**3 / determinant, out=sampling, where=seen, casting="same_kind")
+    return SamplingMap(np.dstack([columns, rows]), seen, sampling)
 
 
 def choose_max_range(

@@ -1,0 +1,34 @@
+# One command sets up and runs: make demo, make test. Needs python3 (3.11 or newer) with venv.
+PYTHON ?= python3
+VENV ?= .venv
+BIN = $(VENV)/bin
+DEMO ?= demo
+
+.PHONY: demo test lint samples clean
+
+$(VENV)/installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	touch $@
+
+$(VENV)/installed-dev: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $@
+
+demo: $(VENV)/installed
+	$(BIN)/slam calibrate samples/course/square.png --side 0.3048 -o $(DEMO)/calibration.yaml --overwrite
+	$(BIN)/slam stitch samples/course/frames -c $(DEMO)/calibration.yaml -o $(DEMO)/map --overwrite
+
+test: $(VENV)/installed-dev lint
+	$(BIN)/python -m pytest -n auto
+
+lint: $(VENV)/installed-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+samples: $(VENV)/installed
+	$(BIN)/python samples/make.py
+
+clean:
+	rm -rf $(VENV) $(DEMO)

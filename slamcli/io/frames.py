@@ -1,0 +1,190 @@
+"""Folders of pictures: listed in natural order, decoded to 8-bit BGR, each fault in one line."""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import imageio.v3 as imageio
+import numpy as np
+
+from slamcli.core.errors import FrameError, InputError
+from slamcli.core.records import Frame
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+IMAGE_SUFFIXES = frozenset(
+    {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
+)
+SMALLEST_SIDE_PIXELS = 16
+# A name such as 1446412345.250 is the time of capture in seconds since 1970 (TUM's convention).
+_EPOCH_NAME = re.compile(r"\d{9,10}\.\d+|\d{10}")
+
+
+@dataclass(frozen=True, slots=True)
+class FrameFile:
+    """A frame that has not been read yet.
+
+    Attributes
+    ----------
+    index : int
+        Place in the sequence, from 0.
+    path : Path
+    stamp : float or None
+        Seconds, from the name or the frame rate.
+    """
+
+    index: int
+    path: Path
+    stamp: float | None
+
+    @property
+    def name(self) -> str:
+        """The file's name without its folder."""
+        return self.path.name
+
+
+def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
+    """Return a sort key under which frame2 comes before frame10."""
+    parts = re.split(r"(\d+)", name.casefold())
+    key = tuple(
+        (1, int(part), part) if part.isdecimal() else (0, 0, part) for part in parts if part
+    )
+    return (*key, (0, 0, name))
+
+
+def list_frames(sources: Sequence[Path], frame_rate: float | None = None) -> list[FrameFile]:
+    """Return the pictures of folders and files, naturally sorted within each folder.
+
+    A folder without pictures of its own stands for its ``frames`` folder.
+
+    Parameters
+    ----------
+    sources : folders or picture files
+    frame_rate : float or None
+        Frames per second, to give stamps to frames whose names carry none.
+
+    Raises
+    ------
+    InputError
+        When a source does not exist, or there is no picture at all.
+    """
+    paths: list[Path] = []
+    for source in sources:
+        if source.is_dir():
+            paths += _pictures_in(source)
+        elif source.exists():
+            paths.append(source)
+        else:
+            raise InputError(f"{source} does not exist; give a folder of frames or image files")
+    if not paths:
+        suffixes = " ".join(sorted(IMAGE_SUFFIXES))
+        raise InputError(f"no images in {', '.join(map(str, sources))}; looked for {suffixes}")
+    return [
+        FrameFile(index, path, _stamp(path, index, frame_rate)) for index, path in enumerate(paths)
+    ]
+
+
+def read_frame(file: FrameFile) -> Frame:
+    """Return the decoded frame; raises FrameError."""
+    image, mask = _decode(file.path)
+    return Frame(file.index, file.name, file.stamp, image, mask)
+
+
+def read_image(path: Path) -> NDArray[np.uint8]:
+    """Return a picture as (H, W, 3) uint8 BGR, turned as its EXIF orientation says.
+
+    16-bit samples are cut to their upper 8 bits, gray is repeated, CMYK converted, and
+    transparency dropped.
+
+    Raises
+    ------
+    FrameError
+        When the file is missing, empty, truncated, too small or no picture.
+    """
+    return _decode(path)[0]
+
+
+def _pictures_in(folder: Path) -> list[Path]:
+    try:
+        entries = list(folder.iterdir())
+    except OSError as error:
+        raise InputError(f"cannot list {folder}: {error.strerror or error}") from error
+    inner = folder / "frames"
+    if inner.is_dir() and inner in entries:
+        return _pictures_in(inner)
+    pictures = [
+        path
+        for path in entries
+        if path.suffix.lower() in IMAGE_SUFFIXES
+        and not path.name.startswith(".")
+        and not path.is_dir()
+    ]
+    return sorted(pictures, key=lambda path: natural_key(path.name))
+
+
+def _stamp(path: Path, index: int, frame_rate: float | None) -> float | None:
+    if _EPOCH_NAME.fullmatch(path.stem):
+        return float(path.stem)
+    return None if frame_rate is None else index / frame_rate
+
+
+def _decode(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FrameError(f"cannot be read: {error.strerror or error}") from error
+    if not data:
+        raise FrameError("the file is empty (0 bytes)")
+    try:
+        decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_BGR)
+    except cv2.error as error:
+        raise FrameError("too many pixels to be decoded; save it smaller") from error
+    whole = decoded is not None and _ends_whole(data)
+    image = np.asarray(decoded) if whole else _decode_strictly(data)
+    height, width = image.shape[:2]
+    if min(height, width) < SMALLEST_SIDE_PIXELS:
+        raise FrameError(f"{width}x{height} pixels is too small to show a floor")
+    return np.asarray(image, dtype=np.uint8), _transparency(data)
+
+
+def _ends_whole(data: bytes) -> bool:
+    """Tell whether a JPEG or PNG, which OpenCV cuts off silently, has its end marker in place."""
+    if data.startswith(b"\xff\xd8"):
+        return data.rstrip(b"\0").endswith(b"\xff\xd9")
+    if data.startswith(b"\x89PNG"):
+        return b"IEND" in data[-64:]
+    return True
+
+
+def _decode_strictly(data: bytes) -> NDArray[np.uint8]:
+    """Decode by Pillow, which refuses a file that ends too soon; raises FrameError."""
+    try:
+        image = imageio.imread(io.BytesIO(data), index=0, plugin="pillow", mode="RGB", rotate=True)
+    except (OSError, SyntaxError, ValueError) as error:
+        if _ends_whole(data):
+            fault = "not an image, or of a kind that cannot be read; save it as PNG or JPEG"
+        else:
+            fault = "truncated: the end of the file is missing"
+        raise FrameError(fault) from error
+    return np.ascontiguousarray(image[..., ::-1])
+
+
+def _transparency(data: bytes) -> NDArray[np.uint8] | None:
+    """Return the alpha channel of a PNG that has one which hides something."""
+    # Byte 25 of a PNG is its colour type; 4 and 6 carry alpha. Others spare a second decode.
+    if not data.startswith(b"\x89PNG") or len(data) < 26 or data[25] not in {4, 6}:
+        return None
+    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if decoded is None or decoded.ndim != 3 or decoded.shape[2] != 4:
+        return None
+    alpha = np.asarray(decoded)[..., 3]
+    opaque: NDArray[np.bool_] = np.asarray(alpha == (65535 if alpha.dtype == np.uint16 else 255))
+    return None if opaque.all() else np.where(opaque, np.uint8(255), np.uint8(0))

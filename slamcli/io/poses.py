@@ -1,0 +1,66 @@
+"""poses.csv: one row a frame, its pose in the map or the reason why there is none."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.io.files import write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from slamcli.core.records import PoseEstimate
+
+COLUMNS = (
+    "index",
+    "frame",
+    "stamp",
+    "status",
+    "reason",
+    "fragment",
+    "x",
+    "y",
+    "heading",
+    "sigma_x",
+    "sigma_y",
+    "sigma_heading",
+    "inliers",
+    "score",
+)
+
+
+def write_poses(path: Path, estimates: Iterable[PoseEstimate]) -> None:
+    """Write one row a frame.
+
+    x, y and their sigmas are metres (pixels without a calibration) in the map's axes; heading and
+    its sigma radians, counter-clockwise from the map's x; stamp seconds. What is not known is an
+    empty field.
+    """
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(_row(estimate) for estimate in estimates)
+    write_text(path, stream.getvalue())
+
+
+def _row(estimate: PoseEstimate) -> list[str]:
+    stamp = "" if estimate.stamp is None else f"{estimate.stamp:.6f}"
+    head = [str(estimate.index), estimate.name, stamp, estimate.status, estimate.reason]
+    pose, covariance = estimate.map_from_robot, estimate.covariance
+    if pose is None:
+        return [*head, *[""] * (len(COLUMNS) - len(head))]
+    place = [str(estimate.fragment), f"{pose.x:.6f}", f"{pose.y:.6f}", f"{pose.theta:.7f}"]
+    if covariance is None:
+        sigmas = [""] * 3
+    else:
+        rotation = pose.matrix[:2, :2]
+        variances = np.diag(rotation @ covariance[:2, :2] @ rotation.T)
+        sigmas = [f"{math.sqrt(value):.3e}" for value in (*variances, covariance[2, 2])]
+    score = "" if math.isnan(estimate.score) else f"{estimate.score:.4f}"
+    return [*head, *place, *sigmas, str(estimate.inliers), score]

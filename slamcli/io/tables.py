@@ -1,0 +1,49 @@
+"""run.toml: what a run was told and what came of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import TYPE_CHECKING
+
+from slamcli.io.files import write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+Scalar = str | int | float | bool | None
+
+
+def flatten(options: object, prefix: str = "") -> list[tuple[str, str, Scalar]]:
+    """Return (section, key, value) for every field of nested dataclasses."""
+    assert dataclasses.is_dataclass(options)
+    rows: list[tuple[str, str, Scalar]] = []
+    for field in dataclasses.fields(options):
+        value = getattr(options, field.name)
+        if dataclasses.is_dataclass(value):
+            section = f"{prefix}.{field.name}" if prefix else field.name
+            rows += flatten(value, section)
+        else:
+            rows.append((prefix, field.name, value))
+    return rows
+
+
+def write_toml(path: Path, sections: Mapping[str, Mapping[str, Scalar]]) -> None:
+    """Write flat TOML tables; a key whose value is None is left out, as TOML has no null."""
+    blocks = []
+    for section, values in sections.items():
+        lines = [f"[{section}]"] if section else []
+        lines += [
+            f"{key} = {_literal(value)}" for key, value in values.items() if value is not None
+        ]
+        blocks.append("\n".join(lines))
+    write_text(path, "\n\n".join(blocks) + "\n")
+
+
+def _literal(value: Scalar) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (int, float)):
+        return repr(value)
+    return json.dumps(value, ensure_ascii=False)

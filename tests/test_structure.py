@@ -1,0 +1,91 @@
+"""The floors of the house: a module imports only what stands below it; stages are strangers."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parent.parent / "slamcli"
+FLOORS = {
+    "core": 1,
+    "stages": 2,
+    "io": 2,
+    "mapper": 3,
+    "painter": 3,
+    "locate": 3,
+    "run": 4,
+    "cli": 5,
+    "options": 5,
+    "progress": 5,
+}
+ONE_ROOM = {
+    "gtsam": "stages/posegraph",
+    "tqdm": "progress",
+    "click": ("cli", "options", "progress"),
+}
+MODULES = sorted(path.relative_to(PACKAGE) for path in PACKAGE.rglob("*.py"))
+
+
+def imports_of(module: Path) -> set[str]:
+    tree = ast.parse((PACKAGE / module).read_text(encoding="utf-8"))
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module}: relative import"
+            assert node.module
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def room_of(parts: tuple[str, ...]) -> str:
+    return parts[0].removesuffix(".py")
+
+
+@pytest.mark.parametrize("module", MODULES, ids=str)
+def test_a_module_imports_only_what_stands_below_it(module: Path) -> None:
+    room = room_of(module.parts)
+    if room == "__init__":
+        return
+    for name in imports_of(module):
+        parts = tuple(name.split("."))
+        if parts[0] != "slamcli" or parts[1] in {"__version__"}:
+            continue
+        if len(parts) > 1 and parts[1] in FLOORS:
+            other = parts[1]
+            allowed = FLOORS[other] < FLOORS[room] or other == room or FLOORS[room] == 5
+            assert allowed, f"{module} (floor {FLOORS[room]}) imports {name}"
+
+
+@pytest.mark.parametrize("module", [m for m in MODULES if m.parts[0] == "stages"], ids=str)
+def test_stages_are_strangers_that_share_only_the_camera(module: Path) -> None:
+    stage = room_of(module.parts[1:])
+    for name in imports_of(module):
+        parts = name.split(".")
+        if parts[:2] == ["slamcli", "stages"] and len(parts) > 2:
+            assert parts[2] in {stage, "camera"}, f"{module} imports {name}"
+
+
+@pytest.mark.parametrize("module", MODULES, ids=str)
+def test_an_outside_library_lives_in_its_room(module: Path) -> None:
+    place = module.with_suffix("").as_posix()
+    for name in imports_of(module):
+        rooms = ONE_ROOM.get(name.split(".")[0])
+        if rooms is not None:
+            assert place in rooms, f"{module} imports {name}"
+
+
+def test_help_loads_no_heavy_library() -> None:
+    code = (
+        "import sys; sys.argv = ['slam', '--help']\n"
+        "from slamcli.cli import main\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "heavy = {'cv2', 'numpy', 'scipy', 'gtsam', 'imageio', 'tqdm', 'yaml'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
