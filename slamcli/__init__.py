@@ -1,5 +1,73 @@
-"""Metric bird's-eye maps of the floor, and the robot's poses on it, from a camera's frames."""
+"""Metric bird's-eye maps of the floor, and the robot's poses on it, from a camera's frames.
+
+>>> import slamcli
+>>> mapper = slamcli.Mapper(slamcli.load_calibration("calibration.yaml"))  # doctest: +SKIP
+>>> estimate = mapper.update(frame)  # doctest: +SKIP
+"""
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from slamcli.core.config import FeatureOptions, MapperOptions, MatchOptions
+    from slamcli.core.errors import (
+        CalibrationError,
+        FrameError,
+        InputError,
+        OutputError,
+        SlamcliError,
+    )
+    from slamcli.core.geometry import Grid, Pose2
+    from slamcli.core.records import Calibration, Frame, Link, PoseEstimate
+    from slamcli.io.calibrations import load_calibration
+    from slamcli.mapper import Mapper
+
 __version__ = "0.1.0"
+
+_HOMES = {
+    "Calibration": "slamcli.core.records",
+    "CalibrationError": "slamcli.core.errors",
+    "FeatureOptions": "slamcli.core.config",
+    "Frame": "slamcli.core.records",
+    "FrameError": "slamcli.core.errors",
+    "Grid": "slamcli.core.geometry",
+    "InputError": "slamcli.core.errors",
+    "Link": "slamcli.core.records",
+    "Mapper": "slamcli.mapper",
+    "MapperOptions": "slamcli.core.config",
+    "MatchOptions": "slamcli.core.config",
+    "OutputError": "slamcli.core.errors",
+    "Pose2": "slamcli.core.geometry",
+    "PoseEstimate": "slamcli.core.records",
+    "SlamcliError": "slamcli.core.errors",
+    "load_calibration": "slamcli.io.calibrations",
+}
+
+__all__ = [
+    "Calibration",
+    "CalibrationError",
+    "FeatureOptions",
+    "Frame",
+    "FrameError",
+    "Grid",
+    "InputError",
+    "Link",
+    "Mapper",
+    "MapperOptions",
+    "MatchOptions",
+    "OutputError",
+    "Pose2",
+    "PoseEstimate",
+    "SlamcliError",
+    "__version__",
+    "load_calibration",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is first asked for, so that `slam --help` need not wait."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'slamcli' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)

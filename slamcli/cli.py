@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from slamcli import __version__, options
 from slamcli.core.errors import SlamcliError
+
+if TYPE_CHECKING:
+    from slamcli.core.simulation import SimulationOptions
 
 
 class SlamGroup(click.Group):
@@ -23,6 +26,23 @@ class SlamGroup(click.Group):
         except SlamcliError as error:
             click.echo(f"Error: {error}", err=True)
             sys.exit(1)
+
+
+class Numbers(click.ParamType[tuple[tuple[float, float], ...]]):
+    """So many pairs of numbers, such as "12,34 56,78" or 8x6."""
+
+    def __init__(self, pairs: int, separator: str, name: str) -> None:
+        self.pairs, self.separator, self.name = pairs, separator, name
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[tuple[float, float], ...]:
+        """Return the pairs; a usage error says what form is wanted."""
+        try:
+            pairs = [tuple(map(float, pair.split(self.separator))) for pair in value.split()]
+        except ValueError:
+            pairs = []
+        if len(pairs) != self.pairs or any(len(pair) != 2 for pair in pairs):
+            self.fail(f"{value!r} is not of the form {self.name}", param, ctx)
+        return tuple((pair[0], pair[1]) for pair in pairs)
 
 
 @click.group(cls=SlamGroup, context_settings={"help_option_names": ["-h", "--help"]})
@@ -111,6 +131,223 @@ def warp(
             progress=progress,
         )
     click.echo("\n".join(lines))
+
+
+@main.command()
+@options.frames
+@options.calibration
+@options.output("the drawings and features.csv (default: the folder's name with _features)")
+@click.option("--features", type=click.Choice(["orb", "sift"]), default="orb", show_default=True)
+@click.option("--count", type=click.IntRange(min=1), default=500, show_default=True)
+@options.feature_details
+@options.workers
+@options.overwrite
+def detect(
+    frames: tuple[Path, ...],
+    calibration: Path | None,
+    output: Path | None,
+    features: Any,
+    workers: int | None,
+    overwrite: bool,
+    **told: Any,
+) -> None:
+    """Draw the points found in FRAMES, and what cleaning and the region of interest removed."""
+    from slamcli.core.config import FeatureOptions
+    from slamcli.progress import ProgressBar
+    from slamcli.run.detect import detect as run_detect
+    from slamcli.run.executor import default_workers
+
+    with ProgressBar() as progress:
+        lines = run_detect(
+            frames,
+            calibration,
+            output or default_output(frames[0], "features"),
+            FeatureOptions(method=features, **told),
+            workers=workers or default_workers(),
+            overwrite=overwrite,
+            progress=progress,
+        )
+    click.echo("\n".join(lines))
+
+
+@main.command()
+@click.argument("first", type=options.PATH)
+@click.argument("second", type=options.PATH)
+@options.calibration
+@options.output("a drawing of the matches")
+@click.option(
+    "--model",
+    type=click.Choice(["rigid", "similarity", "affine", "homography"]),
+    help="Default: rigid with a calibration, else similarity.",
+)
+@click.option(
+    "--features",
+    type=click.Choice(["auto", "orb", "sift"]),
+    default="auto",
+    show_default=True,
+    help="auto tries ORB and SIFT, on the pictures as they are and enlarged, and believes fewer "
+    "inliers where the pixels confirm them.",
+)
+@click.option(
+    "--count", type=click.IntRange(min=1), help="Most features. Default: 500, or what auto takes."
+)
+@options.feature_details
+@options.match_details
+@click.option("--json", "as_json", is_flag=True, help="Print everything measured, as JSON.")
+@options.overwrite
+def match(
+    first: Path,
+    second: Path,
+    calibration: Path | None,
+    output: Path | None,
+    model: Any,
+    features: Any,
+    count: int | None,
+    as_json: bool,
+    overwrite: bool,
+    **told: Any,
+) -> None:
+    """Find the transform from picture FIRST to picture SECOND, or say why nothing fits (exit 1)."""
+    from slamcli.core.config import FeatureOptions, MatchOptions
+    from slamcli.run.match import PairOptions
+    from slamcli.run.match import match as run_match
+
+    resolved = PairOptions(
+        options.picked(FeatureOptions, told),
+        options.picked(MatchOptions, told),
+        features,
+        count,
+        model,
+    )
+    report = run_match(first, second, calibration, output, resolved, overwrite=overwrite)
+    click.echo(report.json if as_json else "\n".join(report.lines))
+    sys.exit(report.exit_code)
+
+
+@main.command()
+@click.argument("photos", nargs=-1, required=True, type=options.PATH)
+@click.option(
+    "--side",
+    type=float,
+    default=0.3048,
+    show_default=True,
+    help="Metres: side of the square or the marker, or of one field of the chessboard.",
+)
+@click.option(
+    "--corners",
+    type=Numbers(4, ",", "x,y x,y x,y x,y"),
+    help="The square's corners in pixels, any order. Default: it is found.",
+)
+@click.option("--refine", is_flag=True, help="Move the given corners to the edges nearby.")
+@click.option(
+    "--chessboard",
+    type=Numbers(1, "x", "8x6"),
+    help="A chessboard instead, by its inner corners along both sides.",
+)
+@click.option("--aruco", help="An ArUco marker instead, by its dictionary, such as 4x4_50.")
+@click.option("--intrinsics", type=options.PATH, help="The lens: a ROS camera_info YAML.")
+@options.max_range
+@options.output(
+    "the calibration (.yaml, or a folder) and its check picture", default="calibration.yaml"
+)
+@options.overwrite
+def calibrate(
+    photos: tuple[Path, ...],
+    side: float,
+    corners: Any,
+    refine: bool,
+    chessboard: Any,
+    aruco: str | None,
+    intrinsics: Path | None,
+    max_range: float | None,
+    output: Path,
+    overwrite: bool,
+) -> None:
+    """Calibrate from PHOTOS of a square on the floor; several are compared, the best is named."""
+    from slamcli.run.calibrate import CalibrateOptions
+    from slamcli.run.calibrate import calibrate as run_calibrate
+
+    resolved = CalibrateOptions(
+        side_metres=side,
+        corners=corners,
+        refine=refine,
+        chessboard=chessboard[0] if chessboard else None,
+        marker=aruco,
+        intrinsics_path=intrinsics,
+        max_range_metres=max_range,
+    )
+    click.echo("\n".join(run_calibrate(photos, output, resolved, overwrite=overwrite)))
+
+
+@main.command()
+@click.argument("output", type=options.PATH)
+@options.floor_options
+@options.path_options
+@options.camera_options
+@options.disturbance_options
+@click.option(
+    "--square-side",
+    type=options.POSITIVE,
+    default=0.3048,
+    show_default=True,
+    help="Metres; of the square in square.png.",
+)
+@click.option("--jpeg-quality", type=click.IntRange(1, 100), default=92, show_default=True)
+@options.workers
+@options.seed
+@options.overwrite
+def simulate(output: Path, workers: int | None, overwrite: bool, **told: Any) -> None:
+    """Simulate a drive over a floor into OUTPUT: frames, a calibration photo, truth, sensors."""
+    from slamcli.progress import ProgressBar
+    from slamcli.run.executor import default_workers
+    from slamcli.run.simulate import simulate as run_simulate
+
+    with ProgressBar() as progress:
+        lines = run_simulate(
+            output,
+            simulation_of(told),
+            workers=workers or default_workers(),
+            overwrite=overwrite,
+            progress=progress,
+        )
+    click.echo("\n".join(lines))
+
+
+def simulation_of(told: dict[str, Any]) -> SimulationOptions:
+    """Return what the flags of `slam simulate` ask for."""
+    from slamcli.core.simulation import CameraOptions, DisturbanceOptions, SimulationOptions
+
+    return SimulationOptions(
+        floor=told["floor"],
+        floor_metres_per_pixel=told["floor_metres_per_pixel"],
+        wear=told["wear"],
+        path=told["path"],
+        length_metres=told["length"],
+        frames=told["frames"],
+        frame_rate_hertz=told["frame_rate"],
+        lane_metres=told["lane"],
+        square_side_metres=told["square_side"],
+        jpeg_quality=told["jpeg_quality"],
+        camera=CameraOptions(
+            size=told["size"],
+            height_metres=told["height"],
+            pitch_degrees=told["pitch"],
+            roll_degrees=told["roll"],
+            field_of_view_degrees=told["field_of_view"],
+            k1=told["k1"],
+            k2=told["k2"],
+        ),
+        disturbances=DisturbanceOptions(
+            noise_gray=told["noise"],
+            motion_blur=told["motion_blur"],
+            flicker=told["flicker"],
+            vignetting=told["vignetting"],
+            rocking_degrees=told["rocking"],
+            bounce_metres=told["bounce"],
+            boxes=told["boxes"],
+        ),
+        seed=told["seed"],
+    )
 
 
 def default_output(source: Path, suffix: str) -> Path:

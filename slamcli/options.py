@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
+from slamcli.core.config import FeatureOptions, MatchOptions
+
+Options = TypeVar("Options")
 Command = TypeVar("Command", bound=Callable[..., Any])
 Decorator = Callable[[Command], Command]
 
 PATH = click.Path(path_type=Path)
+NOT_NEGATIVE = click.FloatRange(min=0)
 POSITIVE = click.FloatRange(min=0, min_open=True)
 
 frames = click.argument("frames", nargs=-1, required=True, type=PATH)
@@ -54,3 +60,308 @@ def output(what: str, *, required: bool = False, default: str | None = None) -> 
         show_default=default is not None,
         help=f"Where {what} goes.",
     )
+
+
+def stacked(*decorators: Decorator[Any]) -> Decorator[Any]:
+    """Return one decorator for several options, shown in the order given."""
+
+    def decorate(command: Any) -> Any:
+        for decorator in reversed(decorators):
+            command = decorator(command)
+        return command
+
+    return decorate
+
+
+def picked(kind: type[Options], told: Mapping[str, Any]) -> Options:
+    """Return the options of one kind from all that the command line says, by their names."""
+    names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
+    return kind(**{name: value for name, value in told.items() if name in names})
+
+
+_FEATURES = FeatureOptions()
+_MATCHING = MatchOptions()
+
+feature_details = stacked(
+    click.option(
+        "--spread/--no-spread",
+        default=_FEATURES.spread,
+        help="Keep the strongest points of every part of the picture [default], or of all of it.",
+    ),
+    click.option(
+        "--refine/--no-refine",
+        default=_FEATURES.refine,
+        help="Place ORB's points to a fraction of a pixel [default], or on whole pixels.",
+    ),
+    click.option(
+        "--clean/--no-clean",
+        default=_FEATURES.clean,
+        help="Low-pass the picture and make what is dark black, before [default: not].",
+    ),
+    click.option(
+        "--clean-kernel",
+        "clean_kernel_pixels",
+        type=click.IntRange(min=1),
+        default=_FEATURES.clean_kernel_pixels,
+        show_default=True,
+        help="Side of that low-pass's box, pixels.",
+    ),
+    click.option(
+        "--clean-threshold",
+        type=click.IntRange(0, 255),
+        default=_FEATURES.clean_threshold,
+        show_default=True,
+        help="Gray level up to which it makes black.",
+    ),
+    click.option(
+        "--roi/--no-roi",
+        default=_FEATURES.roi,
+        help="Leave out points near the border of what was seen [default], or keep them.",
+    ),
+    click.option(
+        "--roi-border",
+        "roi_border_pixels",
+        type=click.IntRange(min=0),
+        default=_FEATURES.roi_border_pixels,
+        show_default=True,
+        help="How near, in pixels of a point's pyramid level.",
+    ),
+    click.option(
+        "--levels",
+        type=click.IntRange(1, 32),
+        default=_FEATURES.levels,
+        show_default=True,
+        help="ORB: levels of the pyramid.",
+    ),
+    click.option(
+        "--scale-factor",
+        type=click.FloatRange(1.01, 4.0),
+        default=_FEATURES.scale_factor,
+        show_default=True,
+        help="ORB: from one level to the next.",
+    ),
+    click.option(
+        "--first-level",
+        type=click.IntRange(0, 31),
+        default=_FEATURES.first_level,
+        show_default=True,
+        help="ORB: the level that is the picture itself; those below are enlarged.",
+    ),
+    click.option(
+        "--edge-threshold",
+        type=click.IntRange(min=1),
+        default=_FEATURES.edge_threshold,
+        show_default=True,
+        help="ORB: pixels left out at each level's border.",
+    ),
+    click.option(
+        "--patch-size",
+        type=click.IntRange(min=5),
+        default=_FEATURES.patch_size,
+        show_default=True,
+        help="ORB: pixels that a descriptor compares.",
+    ),
+    click.option(
+        "--wta-k",
+        type=click.IntRange(2, 4),
+        default=_FEATURES.wta_k,
+        show_default=True,
+        help="ORB: points compared for each element of a descriptor.",
+    ),
+    click.option(
+        "--fast-threshold",
+        type=click.IntRange(1, 255),
+        default=_FEATURES.fast_threshold,
+        show_default=True,
+        help="ORB: contrast of a corner.",
+    ),
+    click.option(
+        "--min-fast-threshold",
+        type=click.IntRange(1, 255),
+        default=_FEATURES.min_fast_threshold,
+        show_default=True,
+        help="ORB: tried when that finds too few.",
+    ),
+    click.option(
+        "--contrast-threshold",
+        type=POSITIVE,
+        default=_FEATURES.contrast_threshold,
+        show_default=True,
+        help="SIFT: contrast of a point.",
+    ),
+)
+
+match_details = stacked(
+    click.option(
+        "--filter",
+        type=click.Choice(["ratio", "cross-check"]),
+        default=_MATCHING.filter,
+        show_default=True,
+        help="Keep matches better than the second best, or that are each other's best.",
+    ),
+    click.option(
+        "--ratio",
+        type=click.FloatRange(0, 1, min_open=True),
+        default=_MATCHING.ratio,
+        show_default=True,
+        help="Largest ratio of the best to the second-best distance.",
+    ),
+    click.option("--max-distance", type=POSITIVE, help="Largest distance of two descriptors."),
+    click.option(
+        "--threshold",
+        type=POSITIVE,
+        help="Largest residual of an inlier: metres, or pixels without a calibration. "
+        "Default: from how well each point is known.",
+    ),
+    click.option(
+        "--confidence",
+        type=click.FloatRange(0, 1, min_open=True, max_open=True),
+        default=_MATCHING.confidence,
+        show_default=True,
+        help="RANSAC stops when it has drawn a clean sample with this probability.",
+    ),
+    click.option(
+        "--max-iterations",
+        type=click.IntRange(min=1),
+        default=_MATCHING.max_iterations,
+        show_default=True,
+        help="Most samples that RANSAC draws.",
+    ),
+    click.option(
+        "--min-inliers",
+        type=click.IntRange(min=2),
+        default=_MATCHING.min_inliers,
+        show_default=True,
+        help="Fewest matches that must agree.",
+    ),
+    seed,
+)
+
+
+class Size(click.ParamType[tuple[int, int]]):
+    """Width and height in pixels, such as 640x480."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int, int]:
+        """Return (width, height); a usage error says what form is wanted."""
+        match = re.fullmatch(r"(\d+)x(\d+)", str(value))
+        if match is None or min(int(match[1]), int(match[2])) < 64:
+            self.fail(f"{value!r} is not of the form 640x480, 64 or more each", param, ctx)
+        return int(match[1]), int(match[2])
+
+
+camera_options = stacked(
+    click.option("--size", type=Size(), default="640x480", show_default=True),
+    click.option("--height", type=POSITIVE, default=0.3, show_default=True, help="Metres."),
+    click.option(
+        "--pitch",
+        type=click.FloatRange(1, 90),
+        default=38.0,
+        show_default=True,
+        help="Degrees below the horizontal.",
+    ),
+    click.option(
+        "--roll",
+        type=click.FloatRange(-45, 45),
+        default=0.0,
+        show_default=True,
+        help="Degrees, right side down.",
+    ),
+    click.option(
+        "--field-of-view",
+        type=click.FloatRange(5, 150),
+        default=62.0,
+        show_default=True,
+        help="Degrees across the picture's width.",
+    ),
+    click.option("--k1", type=float, default=0.0, show_default=True, help="Radial distortion."),
+    click.option("--k2", type=float, default=0.0, show_default=True, help="Radial distortion."),
+)
+disturbance_options = stacked(
+    click.option("--noise", type=NOT_NEGATIVE, default=2.0, show_default=True, help="Gray levels."),
+    click.option(
+        "--motion-blur",
+        type=click.FloatRange(0, 1),
+        default=0.0,
+        show_default=True,
+        help="Share of a step that the shutter is open for.",
+    ),
+    click.option(
+        "--flicker",
+        type=click.FloatRange(0, 0.95),
+        default=0.0,
+        show_default=True,
+        help="Largest change of exposure, as a share.",
+    ),
+    click.option(
+        "--vignetting",
+        type=click.FloatRange(0, 1),
+        default=0.15,
+        show_default=True,
+        help="Share of the brightness lost in the corners.",
+    ),
+    click.option(
+        "--rocking",
+        type=NOT_NEGATIVE,
+        default=0.0,
+        show_default=True,
+        help="Degrees by which pitch and roll vary from frame to frame (one sigma).",
+    ),
+    click.option(
+        "--bounce",
+        type=NOT_NEGATIVE,
+        default=0.0,
+        show_default=True,
+        help="Metres by which the height varies from frame to frame (one sigma).",
+    ),
+    click.option(
+        "--boxes",
+        type=click.IntRange(min=0),
+        default=0,
+        show_default=True,
+        help="Things that stand on the floor along the way; every third one moves.",
+    ),
+)
+floor_options = stacked(
+    click.option(
+        "--floor",
+        default="asphalt",
+        show_default=True,
+        help="course, asphalt, concrete, or the file of a picture.",
+    ),
+    click.option(
+        "--floor-metres-per-pixel",
+        type=POSITIVE,
+        default=0.001,
+        show_default=True,
+        help="Of a picture given as the floor.",
+    ),
+    click.option(
+        "--wear",
+        type=click.FloatRange(0, 1),
+        default=0.5,
+        show_default=True,
+        help="How scuffed and dusty the course is; 0 is pure black and white.",
+    ),
+)
+path_options = stacked(
+    click.option(
+        "--path",
+        default="loop",
+        show_default=True,
+        help="line, loop, lawnmower, or a CSV of poses with columns x, y, heading.",
+    ),
+    click.option(
+        "--length", type=POSITIVE, default=8.0, show_default=True, help="Metres of the way."
+    ),
+    click.option("--frames", type=click.IntRange(min=1), default=100, show_default=True),
+    click.option("--frame-rate", type=POSITIVE, default=10.0, show_default=True),
+    click.option(
+        "--lane",
+        type=POSITIVE,
+        default=0.6,
+        show_default=True,
+        help="Metres between the lawnmower's lanes.",
+    ),
+)

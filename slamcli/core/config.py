@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
+
+from slamcli.core.errors import InputError
 
 FeatureMethod = Literal["orb", "sift"]
 TransformModel = Literal["rigid", "similarity", "affine", "homography"]
 MatchFilter = Literal["ratio", "cross-check"]
+
+# Pictures enlarged more than this eat the memory and show nothing new.
+_MOST_ENLARGEMENT = 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,8 +24,15 @@ class FeatureOptions:
     method : str
     count : int
         Most points kept a picture.
+    spread : bool
+        Keep the strongest points of every part of the picture, not the strongest of all: for a
+        rigid fit a wide base is worth more than sharp corners side by side.
+    refine : bool
+        Move ORB's points, which lie on whole pixels of their pyramid level, to sub-pixel places.
     scale_factor, levels, edge_threshold, first_level, wta_k, patch_size, fast_threshold
         ORB's own (Rublee et al., ICCV 2011); edge_threshold and patch_size in pixels.
+    min_fast_threshold : int
+        Tried when `fast_threshold` finds fewer than `count` points: a floor of low contrast.
     contrast_threshold : float
         SIFT's own.
     clean : bool
@@ -37,6 +49,8 @@ class FeatureOptions:
 
     method: FeatureMethod = "orb"
     count: int = 500
+    spread: bool = True
+    refine: bool = True
     scale_factor: float = 1.2
     levels: int = 8
     edge_threshold: int = 31
@@ -44,12 +58,25 @@ class FeatureOptions:
     wta_k: int = 2
     patch_size: int = 31
     fast_threshold: int = 20
+    min_fast_threshold: int = 5
     contrast_threshold: float = 0.04
     clean: bool = False
     clean_kernel_pixels: int = 5
     clean_threshold: int = 100
     roi: bool = True
     roi_border_pixels: int = 16
+
+    def __post_init__(self) -> None:
+        if self.first_level >= self.levels:
+            raise InputError(
+                f"a first level of {self.first_level} needs more than {self.levels} levels"
+            )
+        enlargement = self.scale_factor**self.first_level
+        if enlargement > _MOST_ENLARGEMENT:
+            raise InputError(
+                f"a first level of {self.first_level} at a scale factor of {self.scale_factor:g} "
+                f"enlarges pictures {enlargement:.3g} times; at most {_MOST_ENLARGEMENT:g} is done"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,16 +88,38 @@ class MatchOptions:
     model : str
         Degrees of freedom: rigid 3, similarity 4, affine 6, homography 8.
     filter : str
+        Which matches are kept: those clearly better than the second best, or those that are each
+        other's best.
     ratio : float
         Lowe's: best over second-best distance must be below it.
     max_distance : float or None
         Descriptor distance above which a match is dropped (the thesis's cost filter).
-    threshold : float
+    threshold : float or None
         A match is an inlier when its residual is below this: metres (pixels without calibration).
+        None: `threshold_sigmas` times what the sigmas of both points explain.
+    threshold_sigmas : float
+        Generous, as the points' sigmas know nothing of a calibration's errors.
     confidence : float
         Of RANSAC having drawn one all-inlier sample when it stops.
     max_iterations : int
     min_inliers : int
+    min_inlier_ratio : float
+        Share of the matches that must be inliers.
+    min_spread : float
+        Of the inliers over the view: their narrower extent over that of all points of the view.
+    max_residual_ratio : float
+        Of the inliers' root mean square residual to the threshold. Matches that agree by chance
+        fill the disc evenly, which gives 0.71; true ones crowd at its centre.
+    max_scale : float
+        Largest scale, or 1 over the smallest, that a similarity, affinity or homography may have
+        anywhere among the inliers.
+    max_stretch : float
+        Largest ratio of the scales in two directions that an affinity or homography may have.
+    search_radius : float or None
+        Given a guess, matches farther from it are not tried: metres (pixels without calibration).
+        None: a hundred times the points' typical sigma.
+    search_angle_radians : float
+        The guess's uncertainty in heading; adds its share of a point's distance to the radius.
     seed : int
     """
 
@@ -78,8 +127,51 @@ class MatchOptions:
     filter: MatchFilter = "ratio"
     ratio: float = 0.8
     max_distance: float | None = None
-    threshold: float = 3.0
+    threshold: float | None = None
+    threshold_sigmas: float = 5.0
     confidence: float = 0.999
     max_iterations: int = 5000
-    min_inliers: int = 8
+    min_inliers: int = 12
+    min_inlier_ratio: float = 0.1
+    min_spread: float = 0.1
+    max_residual_ratio: float = 0.62
+    max_scale: float = 8.0
+    max_stretch: float = 2.0
+    search_radius: float | None = None
+    search_angle_radians: float = 0.1
     seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class MapperOptions:
+    """How frames become poses.
+
+    Attributes
+    ----------
+    features, matching
+        Of the stages of those names; the model is always rigid.
+    metres_per_pixel : float or None
+        Resolution of the views that are matched; None chooses it from the camera's sampling.
+    recent_keyframes : int
+        How many of the latest keyframes a new frame is compared with.
+    keyframe_overlap : float
+        A frame that shares less of its floor with the current keyframe becomes one itself.
+    min_overlap : float
+        Least share of floor that two frames must both see for their fit to be believed.
+    min_score : float
+        Least correlation of the overlap's pixels for a fit to be believed, in [-1, 1].
+    tilt_sigma_degrees : float
+        By how much the camera's pitch varies from frame to frame, one standard deviation.
+    refine : bool
+        Refine each fit on the pixels themselves.
+    """
+
+    features: FeatureOptions = field(default_factory=lambda: FeatureOptions(count=1000))
+    matching: MatchOptions = field(default_factory=MatchOptions)
+    metres_per_pixel: float | None = None
+    recent_keyframes: int = 5
+    keyframe_overlap: float = 0.7
+    min_overlap: float = 0.1
+    min_score: float = 0.3
+    tilt_sigma_degrees: float = 0.05
+    refine: bool = True

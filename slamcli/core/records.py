@@ -5,14 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+
 from slamcli.core.geometry import invert
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
+    from slamcli.core.config import TransformModel
     from slamcli.core.geometry import Grid, Pose2
 
+DescriptorNorm = Literal["hamming", "hamming2", "l2"]
 DistortionModel = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 LinkKind = Literal["step", "loop", "odometry", "compass", "gps"]
 Status = Literal["tracked", "predicted", "lost"]
@@ -74,6 +77,27 @@ class Calibration:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Intrinsics:
+    """A camera's lens and sensor, without where it is mounted.
+
+    Attributes
+    ----------
+    camera_matrix : (3, 3) float64, pixels
+    distortion : (k,) float64
+        Coefficients of `distortion_model`, in ROS camera_info order.
+    distortion_model : str
+        As in `Calibration`.
+    image_size : (int, int)
+        Width and height in pixels.
+    """
+
+    camera_matrix: NDArray[np.float64]
+    distortion: NDArray[np.float64]
+    distortion_model: DistortionModel
+    image_size: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """One picture of a sequence.
 
@@ -85,12 +109,38 @@ class Frame:
     stamp : float or None
         Seconds.
     image : (H, W, 3) or (H, W) uint8, BGR or gray
+    mask : (H, W) uint8 or None
+        255 where the picture is opaque; None when all of it is.
     """
 
     index: int
     name: str
     stamp: float | None
     image: NDArray[np.uint8]
+    mask: NDArray[np.uint8] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prepared:
+    """What one frame gives to the mapper: all that can be computed without any other frame.
+
+    Attributes
+    ----------
+    index, name, stamp
+        Of the frame.
+    view : View or None
+        Gray; None when the frame could not be used.
+    features : Features or None
+    reason : str
+        Why the frame could not be used; empty when it could.
+    """
+
+    index: int
+    name: str
+    stamp: float | None
+    view: View | None
+    features: Features | None
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +162,44 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Keypoints:
+    """What a detector found in a view, still in pixels: for drawings, and to become Features.
+
+    Attributes
+    ----------
+    pixels : (N, 2) float64
+        Column and row in the view.
+    sizes : (N,) float32, pixels
+        Diameter of what the descriptor is centred on.
+    angles : (N,) float32, degrees
+        Clockwise in the picture, in [0, 360).
+    responses : (N,) float32
+    octaves : (N,) int32
+        Pyramid level; 0 is the view itself.
+    scales : (N,) float32
+        Pixels of the view to a pixel of the pyramid level.
+    sigmas : (N,) float32, pixels
+        One standard deviation of the place, in the view.
+    descriptors : (N, D) uint8 or float32
+    norm : str
+        How descriptors are compared.
+    """
+
+    pixels: NDArray[np.float64]
+    sizes: NDArray[np.float32]
+    angles: NDArray[np.float32]
+    responses: NDArray[np.float32]
+    octaves: NDArray[np.int32]
+    scales: NDArray[np.float32]
+    sigmas: NDArray[np.float32]
+    descriptors: NDArray[np.uint8] | NDArray[np.float32]
+    norm: DescriptorNorm
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Features:
     """Points of the floor with what they look like; above this record there are no pixels.
 
@@ -123,15 +211,75 @@ class Features:
         The detector's response: larger is stronger.
     sigmas : (N, 2) float32, metres
         One standard deviation along the line of sight on the floor, and across it.
+    norm : str
+        How descriptors are compared; ``hamming2`` counts pairs of bits (ORB with WTA_K 3 or 4).
     """
 
     points: NDArray[np.float32]
     descriptors: NDArray[np.uint8] | NDArray[np.float32]
     scores: NDArray[np.float32]
     sigmas: NDArray[np.float32]
+    norm: DescriptorNorm = "hamming"
 
     def __len__(self) -> int:
         return len(self.points)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """One transform fitted to the matches of two sets of features, or why none is believed.
+
+    Attributes
+    ----------
+    model : str
+    a_from_b : (3, 3) float64 or None
+        Metres to metres; None when nothing at all could be fitted.
+    pose : Pose2 or None
+        The same when the model is rigid.
+    covariance : (3, 3) float64 or None
+        Of `pose`: x, y (m) and theta (rad), in b's own axes (GTSAM's tangent space).
+    matches : (M, 2) int32
+        Indices into a's and b's features.
+    inliers : (M,) bool
+    residuals : (M,) float64, metres
+        Of all matches; nan without a fit.
+    spread : float
+        Of the inliers over the view: their narrower extent over that of all its points.
+    reason : str
+        Why the transform is not to be believed; empty when it is.
+    """
+
+    model: TransformModel
+    a_from_b: NDArray[np.float64] | None
+    pose: Pose2 | None
+    covariance: NDArray[np.float64] | None
+    matches: NDArray[np.int32]
+    inliers: NDArray[np.bool_]
+    residuals: NDArray[np.float64]
+    spread: float
+    reason: str = ""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the transform passed every gate."""
+        return not self.reason
+
+    @property
+    def inlier_count(self) -> int:
+        """How many matches agree with the transform."""
+        return int(self.inliers.sum())
+
+    @property
+    def median_residual(self) -> float:
+        """Of the inliers, in metres; nan without any."""
+        return float(np.median(self.residuals[self.inliers])) if self.inliers.any() else np.nan
+
+    @property
+    def rms_residual(self) -> float:
+        """Root mean square over the inliers, in metres; nan without any."""
+        if not self.inliers.any():
+            return np.nan
+        return float(np.sqrt(np.mean(self.residuals[self.inliers] ** 2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,7 +320,7 @@ class PoseEstimate:
         None when lost.
     status : str
     reason : str
-        Why the frame is not tracked; empty when it is.
+        Why the frame is not tracked, or a remark; mostly empty when it is.
     fragment : int
         Which connected map the pose belongs to; -1 when lost.
     covariance : (3, 3) float64 or None

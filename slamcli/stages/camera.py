@@ -16,6 +16,9 @@ from scipy.spatial import ConvexHull
 
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import Grid, apply_homography, invert
+from slamcli.core.mounting import compose_robot_from_image as compose_robot_from_image
+from slamcli.core.mounting import image_from_robot_homography as image_from_robot_homography
+from slamcli.core.mounting import robot_from_camera_rotation as robot_from_camera_rotation
 from slamcli.core.records import Calibration, Intrinsics
 
 if TYPE_CHECKING:
@@ -28,6 +31,8 @@ if TYPE_CHECKING:
 FAR_TO_NEAR_SAMPLING_RATIO = 12.0
 # A sampling of the image's border fine enough that its floor outline is smooth.
 _OUTLINE_POINTS_PER_SIDE = 48
+# Lens distortion is this smooth: a point in four pixels is enough to interpolate between.
+_LATTICE_PIXELS = 4
 _ROUND_STEPS = (1.0, 2.0, 5.0, 10.0)
 
 Lens = Calibration | Intrinsics
@@ -37,47 +42,6 @@ def image_centre(image_size: tuple[int, int]) -> tuple[float, float]:
     """Return the (column, row) of a picture's middle, where a pixel's centre is a whole number."""
     width, height = image_size
     return (width - 1) / 2, (height - 1) / 2
-
-
-def robot_from_camera_rotation(pitch_radians: float, roll_radians: float) -> NDArray[np.float64]:
-    """Return the (3, 3) rotation from optical (x right, y down, z ahead) to robot axes."""
-    level = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    cos_pitch, sin_pitch = math.cos(pitch_radians), math.sin(pitch_radians)
-    cos_roll, sin_roll = math.cos(roll_radians), math.sin(roll_radians)
-    about_y = np.array([[cos_pitch, 0.0, sin_pitch], [0.0, 1.0, 0.0], [-sin_pitch, 0.0, cos_pitch]])
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cos_roll, -sin_roll], [0.0, sin_roll, cos_roll]])
-    rotation: NDArray[np.float64] = about_y @ about_x @ level
-    return rotation
-
-
-def image_from_robot_homography(
-    camera_matrix: NDArray[np.float64],
-    height_metres: float,
-    pitch_radians: float,
-    roll_radians: float,
-) -> NDArray[np.float64]:
-    """Return the (3, 3) homography from floor metres to undistorted pixels.
-
-    The camera's centre is (0, 0, height) in the robot frame, so a floor point (x, y) is seen along
-    ``K R^T (x, y, -height)`` (Hartley and Zisserman, Multiple View Geometry, 8.1). The third
-    coordinate is the depth along the optical axis: positive in front of the camera.
-    """
-    camera_from_robot = robot_from_camera_rotation(pitch_radians, roll_radians).T
-    plane = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -height_metres]])
-    homography: NDArray[np.float64] = camera_matrix @ camera_from_robot @ plane
-    return homography
-
-
-def compose_robot_from_image(
-    camera_matrix: NDArray[np.float64],
-    height_metres: float,
-    pitch_radians: float,
-    roll_radians: float,
-) -> NDArray[np.float64]:
-    """Return the (3, 3) homography from undistorted pixels to floor metres."""
-    return invert(
-        image_from_robot_homography(camera_matrix, height_metres, pitch_radians, roll_radians)
-    )
 
 
 def top_down_calibration(image_size: tuple[int, int]) -> Calibration:
@@ -107,7 +71,7 @@ def top_down_calibration(image_size: tuple[int, int]) -> Calibration:
 def undistort_points(calibration: Lens, pixels: ArrayLike) -> NDArray[np.float64]:
     """Map (N, 2) pixels of the camera's own picture to (N, 2) undistorted pixels."""
     points = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
-    if not np.any(calibration.distortion):
+    if len(points) == 0 or not np.any(calibration.distortion):
         return points.copy()
     matrix, distortion = calibration.camera_matrix, calibration.distortion
     # OpenCV's iteration stops early by default; a camera model has to invert to well below a pixel.
@@ -126,7 +90,7 @@ def undistort_points(calibration: Lens, pixels: ArrayLike) -> NDArray[np.float64
 def distort_points(calibration: Lens, pixels: ArrayLike) -> NDArray[np.float64]:
     """Map (N, 2) undistorted pixels to (N, 2) pixels of the camera's own picture."""
     points = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
-    if not np.any(calibration.distortion):
+    if len(points) == 0 or not np.any(calibration.distortion):
         return points.copy()
     matrix, distortion = calibration.camera_matrix, calibration.distortion
     normalised = apply_homography(invert(matrix), points)
@@ -285,19 +249,39 @@ def footprint(calibration: Calibration, metres_per_pixel: float) -> Grid:
     return Grid.covering(footprint_hull(calibration), metres_per_pixel)
 
 
-def mean_sampling(calibration: Calibration, points: ArrayLike) -> NDArray[np.float64]:
-    """Return (N,) metres per pixel: the geometric mean of the two directions."""
-    mean: NDArray[np.float64] = np.sqrt(np.prod(floor_sampling(calibration, points), axis=1))
-    return mean
-
-
 def default_metres_per_pixel(calibration: Calibration) -> float:
-    """Return a round resolution (1, 2 or 5 times a power of ten) fit for what most pixels saw."""
+    """Return a round resolution (1, 2 or 5 times a power of ten) that keeps what the camera saw.
+
+    The largest that gives a bird's-eye view at least as many pixels as the picture spends on it.
+    """
     if calibration.unit == "px":
         return 1.0
-    typical = float(np.median(mean_sampling(calibration, seen_floor(calibration))))
+    hull = ConvexHull(footprint_hull(calibration))
+    seen_pixels = np.count_nonzero(sharpness_image(calibration))
+    typical = math.sqrt(float(hull.volume) / seen_pixels)
     power = 10.0 ** math.floor(math.log10(typical))
     return power * max(step for step in _ROUND_STEPS if step * power <= typical * (1 + 1e-9))
+
+
+def sharpness_image(calibration: Calibration) -> NDArray[np.float32]:
+    """Return (H, W): how many pixels a metre of floor spans, at each pixel of the camera's picture.
+
+    The geometric mean of both directions; 0 where the pixel shows no floor within range.
+    """
+    width, height = calibration.image_size
+    columns, rows = np.meshgrid(
+        np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)
+    )
+    if np.any(calibration.distortion):
+        columns, rows = undistorted_coordinates(calibration, columns, rows)
+    inverse = calibration.robot_from_image.astype(np.float32)
+    x, y, w = (row[0] * columns + row[1] * rows + row[2] for row in inverse)
+    seen = (w > 0) & (x * x + y * y <= (np.float32(calibration.max_range_metres) * w) ** 2)
+    # A pixel covers |det H| / w^3 of floor, the Jacobian determinant of the plane map x -> Hx / w.
+    determinant = abs(float(np.linalg.det(calibration.robot_from_image)))
+    sharpness = np.zeros((height, width), dtype=np.float32)
+    np.sqrt(w**3 / np.float32(determinant), out=sharpness, where=seen)
+    return sharpness
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -306,23 +290,29 @@ class SamplingMap:
 
     Attributes
     ----------
-    pixels : (h, w, 2) float32
-        Column and row in the camera's picture; meaningful only where seen.
-    seen : (h, w) bool
-    sampling : (h, w) float32
-        Metres of floor per camera pixel, geometric mean of both directions; inf where not seen.
+    columns, rows : (h, w) float32
+        In the camera's picture; meaningful only where the sharpness is not 0.
+    sharpness : (h, w) float32
+        Of the raster given, at those places; 0 where the floor is not seen.
     """
 
-    pixels: NDArray[np.float32]
-    seen: NDArray[np.bool_]
-    sampling: NDArray[np.float32]
+    columns: NDArray[np.float32]
+    rows: NDArray[np.float32]
+    sharpness: NDArray[np.float32]
 
 
-def sampling_map(calibration: Calibration, grid: Grid, robot_from_grid: Pose2) -> SamplingMap:
+def sampling_map(
+    calibration: Calibration,
+    sharpness: NDArray[np.float32],
+    grid: Grid,
+    robot_from_grid: Pose2,
+) -> SamplingMap:
     """Project every pixel of a floor raster into the camera's own picture, lens included.
 
     Parameters
     ----------
+    sharpness : (H, W) float32
+        From `sharpness_image`, or weights of the same zeros.
     grid : Grid
         In any frame on the floor (the robot's own, or the map).
     robot_from_grid : Pose2
@@ -332,6 +322,7 @@ def sampling_map(calibration: Calibration, grid: Grid, robot_from_grid: Pose2) -
     homography = calibration.image_from_robot @ robot_from_pixel
     normalised_from_pixel = invert(calibration.camera_matrix) @ homography
     # OpenCV's rectification maps take any plane homography for the "rotation" and apply the lens.
+    # Floor behind the camera comes out above the horizon, where the sharpness is 0.
     arguments = (invert(normalised_from_pixel), np.eye(3), (grid.width, grid.height))
     if calibration.distortion_model == "equidistant":
         columns, rows = cv2.fisheye.initUndistortRectifyMap(
@@ -341,24 +332,49 @@ def sampling_map(calibration: Calibration, grid: Grid, robot_from_grid: Pose2) -
         columns, rows = cv2.initUndistortRectifyMap(
             calibration.camera_matrix, calibration.distortion, *arguments, cv2.CV_32FC1
         )
-    column, row = np.arange(grid.width)[None, :], np.arange(grid.height)[:, None]
-    denominators = [h[0] * column + h[1] * row + h[2] for h in homography]
-    depth = denominators[2]
-    x = robot_from_pixel[0, 0] * column + robot_from_pixel[0, 1] * row + robot_from_pixel[0, 2]
-    y = robot_from_pixel[1, 0] * column + robot_from_pixel[1, 1] * row + robot_from_pixel[1, 2]
-    width, height = calibration.image_size
-    seen = (depth > 0) & (x * x + y * y <= calibration.max_range_metres**2)
-    seen &= (columns >= 0) & (columns <= width - 1) & (rows >= 0) & (rows <= height - 1)
+    sharp = np.asarray(cv2.remap(sharpness, columns, rows, cv2.INTER_LINEAR), dtype=np.float32)
     if np.any(calibration.distortion):
         # Outside the undistorted picture the lens polynomial may fold back into it.
-        low, high = _undistorted_bounds(calibration)
-        seen &= (denominators[0] >= low[0] * depth) & (denominators[0] <= high[0] * depth)
-        seen &= (denominators[1] >= low[1] * depth) & (denominators[1] <= high[1] * depth)
-    # A pixel covers w^3 / |det H| of floor: the inverse Jacobian determinant of x -> Hx/w.
-    determinant = abs(float(np.linalg.det(calibration.image_from_robot)))
-    sampling = np.full(seen.shape, np.inf, dtype=np.float32)
-    np.sqrt(depth**3 / determinant, out=sampling, where=seen, casting="same_kind")
-    return SamplingMap(np.dstack([columns, rows]), seen, sampling)
+        sharp[_outside_undistorted(calibration, homography, grid)] = 0.0
+    return SamplingMap(np.asarray(columns, np.float32), np.asarray(rows, np.float32), sharp)
+
+
+def _outside_undistorted(
+    calibration: Calibration, homography: NDArray[np.float64], grid: Grid
+) -> NDArray[np.bool_]:
+    """Return (h, w): whether a raster's pixel lies outside the undistorted picture."""
+    column = np.arange(grid.width, dtype=np.float32)[None, :]
+    row = np.arange(grid.height, dtype=np.float32)[:, None]
+    x, y, depth = (h[0] * column + h[1] * row + h[2] for h in homography.astype(np.float32))
+    low, high = _undistorted_bounds(calibration).astype(np.float32)
+    inside = (depth > 0) & (x >= low[0] * depth) & (x <= high[0] * depth)
+    inside &= (y >= low[1] * depth) & (y <= high[1] * depth)
+    outside: NDArray[np.bool_] = ~inside
+    return outside
+
+
+def undistorted_coordinates(
+    calibration: Calibration, columns: NDArray[np.float32], rows: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the undistorted pixels of many, (h, w) each, that lie within the camera's picture.
+
+    Exact on a lattice of every fourth pixel, interpolated between its points.
+    """
+    width, height = calibration.image_size
+    start = -_LATTICE_PIXELS
+    lattice_columns, lattice_rows = np.meshgrid(
+        np.arange(start, width + _LATTICE_PIXELS, _LATTICE_PIXELS, dtype=np.float64),
+        np.arange(start, height + _LATTICE_PIXELS, _LATTICE_PIXELS, dtype=np.float64),
+    )
+    lattice = np.column_stack([lattice_columns.ravel(), lattice_rows.ravel()])
+    undistorted = undistort_points(calibration, lattice).astype(np.float32)
+    field = undistorted.reshape(*lattice_columns.shape, 2)
+    scale = np.float32(1.0 / _LATTICE_PIXELS)
+    interpolated = cv2.remap(
+        field, (columns - start) * scale, (rows - start) * scale, cv2.INTER_LINEAR
+    )
+    both = np.asarray(interpolated, dtype=np.float32)
+    return both[..., 0], both[..., 1]
 
 
 def choose_max_range(
@@ -389,10 +405,8 @@ def choose_max_range(
     return float(np.hypot(floor[usable, 0], floor[usable, 1]).max())
 
 
-def _undistorted_bounds(
-    calibration: Calibration,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lowest and highest undistorted pixel (2,) that the picture's border maps to."""
+def _undistorted_bounds(calibration: Calibration) -> NDArray[np.float64]:
+    """Return (2, 2): lowest and highest undistorted pixel that the picture's border maps to."""
     outline = undistort_points(calibration, image_outline(calibration.image_size))
     margin = 1.0
-    return outline.min(axis=0) - margin, outline.max(axis=0) + margin
+    return np.array([outline.min(axis=0) - margin, outline.max(axis=0) + margin])

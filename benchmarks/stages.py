@@ -1,0 +1,203 @@
+"""What one 1080p frame costs, stage by stage, beside the OpenCV kernels it is made of.
+
+Run: python benchmarks/stages.py [--frames N]. Every figure is a median over the frames of one run
+on one thread; compare ratios, not milliseconds, between machines.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import platform
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import Calibration
+from slamcli.io.files import write_image
+from slamcli.io.frames import list_frames, read_frame
+from slamcli.mapper import Mapper
+from slamcli.painter import Painter
+from slamcli.stages import align, camera, dense, features, mosaic, view
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+IMAGE_SIZE = (1920, 1080)
+STEP_METRES = 0.03
+
+
+def make_calibration() -> Calibration:
+    """Return a small robot's camera: 0.3 m up, looking 35 degrees down."""
+    width, height = IMAGE_SIZE
+    matrix = np.array([[1600.0, 0, (width - 1) / 2], [0, 1600.0, (height - 1) / 2], [0, 0, 1.0]])
+    pitch = math.radians(35.0)
+    robot_from_image = camera.compose_robot_from_image(matrix, 0.3, pitch, 0.0)
+    image_from_robot = np.linalg.inv(robot_from_image)
+    return Calibration(
+        camera_matrix=matrix,
+        distortion=np.zeros(5),
+        distortion_model="plumb_bob",
+        image_size=IMAGE_SIZE,
+        robot_from_image=robot_from_image,
+        height_metres=0.3,
+        pitch_radians=pitch,
+        roll_radians=0.0,
+        max_range_metres=camera.choose_max_range(matrix, image_from_robot, IMAGE_SIZE),
+    )
+
+
+def make_frames(calibration: Calibration, count: int, folder: Path) -> None:
+    """Write pictures of one noise floor, the robot driving straight ahead."""
+    generator = np.random.default_rng(0)
+    side, floor_metres_per_pixel = 4096, 0.001
+    floor = np.zeros((side, side), np.float32)
+    for sigma, share in ((1.0, 1.0), (3.0, 1.5), (10.0, 1.0)):
+        layer = generator.normal(size=floor.shape).astype(np.float32)
+        layer = cv2.GaussianBlur(layer, (0, 0), sigma)
+        floor += share * layer / layer.std()
+    floor = np.clip(120 + 28 * floor / floor.std(), 0, 255).astype(np.uint8)
+    floor_from_metres = np.diag([1 / floor_metres_per_pixel, 1 / floor_metres_per_pixel, 1.0])
+    floor_from_metres[1, 2] = side / 2
+    for index in range(count):
+        map_from_robot = Pose2(STEP_METRES * index)
+        floor_from_image = floor_from_metres @ map_from_robot.matrix @ calibration.robot_from_image
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        picture = cv2.warpPerspective(floor, floor_from_image, IMAGE_SIZE, flags=flags)
+        noisy = picture + generator.normal(0.0, 3.0, picture.shape)
+        gray = np.clip(noisy, 0, 255).astype(np.uint8)
+        write_image(folder / f"{index:04d}.jpg", np.dstack([gray] * 3), jpeg_quality=90)
+
+
+def median_milliseconds(work: Callable[[int], object], count: int) -> float:
+    """Return the median duration of work(0) .. work(count - 1)."""
+    durations = []
+    for index in range(count):
+        started = time.perf_counter()
+        work(index)
+        durations.append(time.perf_counter() - started)
+    return 1e3 * float(np.median(durations))
+
+
+def measure(count: int) -> list[tuple[str, float, float]]:
+    """Return (stage, milliseconds, milliseconds of its bare kernels) for each stage."""
+    cv2.setNumThreads(1)
+    calibration = make_calibration()
+    with tempfile.TemporaryDirectory() as name:
+        make_frames(calibration, count, Path(name))
+        files = list_frames([Path(name)])
+        data = [np.frombuffer(file.path.read_bytes(), np.uint8) for file in files]
+        frames = [read_frame(file) for file in files]
+        decode = median_milliseconds(lambda i: read_frame(files[i]), count)
+        bare_decode = median_milliseconds(lambda i: cv2.imdecode(data[i], cv2.IMREAD_COLOR), count)
+
+    mapper = Mapper(calibration)
+    resampler = view.make_view_resampler(calibration, mapper.metres_per_pixel)
+    grid = resampler.grid
+    view_from_image = grid.pixel_from_metres @ calibration.robot_from_image
+    grays = [view.to_gray(frame.image) for frame in frames]
+    views = [view.make_view(frame, resampler, gray=True) for frame in frames]
+    warp = median_milliseconds(lambda i: view.make_view(frames[i], resampler, gray=True), count)
+    size = (grid.width, grid.height)
+    bare_warp = median_milliseconds(
+        lambda i: cv2.warpPerspective(grays[i], view_from_image, size), count
+    )
+
+    options = mapper.options
+    found = [features.extract(one, calibration, options.features) for one in views]
+    detect = median_milliseconds(
+        lambda i: features.extract(views[i], calibration, options.features), count
+    )
+    orb = cv2.ORB_create(options.features.count)
+    bare_detect = median_milliseconds(
+        lambda i: orb.detectAndCompute(views[i].image, resampler.mask), count
+    )
+
+    fits = [align.align(found[i], found[i + 1], options.matching) for i in range(count - 1)]
+    fit = median_milliseconds(
+        lambda i: align.align(found[i], found[i + 1], options.matching), count - 1
+    )
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+    bare_fit = median_milliseconds(lambda i: bare_match(matcher, found[i], found[i + 1]), count - 1)
+
+    tilt = math.radians(options.tilt_sigma_degrees)
+    poses = [fit.pose or Pose2(STEP_METRES) for fit in fits]
+    agree = median_milliseconds(
+        lambda i: dense.agreement(views[i], views[i + 1], poses[i]), count - 1
+    )
+    refine = median_milliseconds(
+        lambda i: dense.refine(views[i], views[i + 1], poses[i], calibration, tilt), count - 1
+    )
+
+    painter = Painter(calibration, camera.default_metres_per_pixel(calibration))
+    track = [Pose2(STEP_METRES * index, 0.0, 0.01 * index) for index in range(count)]
+    patches = [painter.patch(frames[i], track[i]) for i in range(count)]
+    paint = median_milliseconds(lambda i: painter.patch(frames[i], track[i]), count)
+    patch_size = (patches[0].grid.width, patches[0].grid.height)
+    map_from_image = [
+        patches[i].grid.pixel_from_metres @ track[i].matrix @ calibration.robot_from_image
+        for i in range(count)
+    ]
+    bare_paint = median_milliseconds(
+        lambda i: cv2.warpPerspective(frames[i].image, map_from_image[i], patch_size), count
+    )
+    canvas = mosaic.Canvas(painter.metres_per_pixel)
+    blend = median_milliseconds(lambda i: canvas.paint(patches[i]), count)
+    extent = canvas.extent()
+    assert extent is not None
+    picture, _ = canvas.flatten(extent)
+    encode = median_milliseconds(lambda _: encode_png(picture), 3) / count
+    return [
+        ("decode JPEG", decode, bare_decode),
+        ("warp to the view", warp, bare_warp),
+        ("detect ORB", detect, bare_detect),
+        ("match and fit", fit, bare_fit),
+        ("check the pixels", agree, math.nan),
+        ("refine on the pixels", refine, math.nan),
+        ("paint a patch", paint, bare_paint),
+        ("blend it", blend, math.nan),
+        ("encode PNG (share)", encode, encode),
+    ]
+
+
+def bare_match(matcher: cv2.BFMatcher, a: features.Features, b: features.Features) -> object:
+    """Run what OpenCV alone would: match both ways and fit a similarity."""
+    pairs = matcher.knnMatch(b.descriptors, a.descriptors, k=2)
+    good = [first for first, second in pairs if first.distance < 0.8 * second.distance]
+    points_a = np.array([a.points[match.trainIdx] for match in good])
+    points_b = np.array([b.points[match.queryIdx] for match in good])
+    return cv2.estimateAffinePartial2D(points_b, points_a, ransacReprojThreshold=0.003)
+
+
+def encode_png(picture: NDArray[np.uint8]) -> None:
+    """Encode the whole map once, at the compression that the map is written with."""
+    cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 3])
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=20)
+    rows = measure(parser.parse_args().frames)
+    print(
+        f"{platform.processor() or platform.machine()}, Python {platform.python_version()}, "
+        f"OpenCV {cv2.__version__}, one thread, 1920x1080"
+    )
+    print(f"{'stage':<22}{'ms':>8}{'kernel':>9}{'ratio':>8}")
+    for name, ours, kernel in rows:
+        bare = "" if math.isnan(kernel) else f"{kernel:9.1f}{ours / kernel:8.2f}"
+        print(f"{name:<22}{ours:8.1f}{bare}")
+    total = sum(ours for _, ours, _ in rows)
+    known = sum(kernel for _, _, kernel in rows if not math.isnan(kernel))
+    print(f"{'sum':<22}{total:8.1f}{known:9.1f}{total / known:8.2f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,403 @@
+"""The loop: frames in, poses out. No file, thread, clock or print.
+
+A frame is compared with the latest keyframes. A fit is believed when its features agree
+(`stages.align`) and its pixels do (`stages.dense`); a frame without a believed fit is lost, with
+the reason. Lost frames that fit one another start a fragment, a map of their own, until a link
+ties it to an older one. `finish` weighs all links against one another.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slamcli.core.config import MapperOptions
+from slamcli.core.errors import FrameError
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import Frame, Link, PoseEstimate, Prepared
+from slamcli.stages import align, camera, dense, features, posegraph, view
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import Alignment, Calibration, Features
+
+_SAME_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """One comparison of a frame with a keyframe: what fits, or why nothing does.
+
+    Attributes
+    ----------
+    keyframe, prepared : Prepared
+    alignment : Alignment
+        What the features said.
+    link : Link or None
+    overlap : float
+    reason : str
+    """
+
+    keyframe: Prepared
+    prepared: Prepared
+    alignment: Alignment
+    link: Link | None
+    overlap: float = 0.0
+    reason: str = ""
+
+
+class Mapper:
+    """Locates a camera over a floor that it maps as it goes.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    options : MapperOptions
+    """
+
+    def __init__(self, calibration: Calibration, options: MapperOptions | None = None) -> None:
+        self.calibration = calibration
+        self.options = options or MapperOptions()
+        self.metres_per_pixel = self.options.metres_per_pixel or view.registration_metres_per_pixel(
+            calibration
+        )
+        self._resampler = view.make_view_resampler(calibration, self.metres_per_pixel)
+        self._estimates: dict[int, PoseEstimate] = {}
+        self._keyframes: list[Prepared] = []
+        self._latest: Prepared | None = None
+        self._stray: Prepared | None = None
+        self._trials: list[Trial] = []
+        self._links: list[Link] = []
+        self._next_fragment = 0
+
+    @property
+    def estimates(self) -> list[PoseEstimate]:
+        """One for every frame so far, in order, as revised by all that followed."""
+        return [self._estimates[index] for index in sorted(self._estimates)]
+
+    @property
+    def links(self) -> list[Link]:
+        """Every measured motion between two frames, in the order of their making."""
+        return list(self._links)
+
+    @property
+    def trials(self) -> list[Trial]:
+        """The comparisons that the latest step made, in their order."""
+        return list(self._trials)
+
+    def update(self, frame: Frame | NDArray[np.uint8]) -> PoseEstimate:
+        """Locate one more frame; a frame that cannot be used is lost, with the reason.
+
+        Parameters
+        ----------
+        frame : Frame, or (H, W[, 3]) uint8 BGR or gray pixels of the next one
+        """
+        if not isinstance(frame, Frame):
+            index = max(self._estimates, default=-1) + 1
+            frame = Frame(index, f"frame {index}", None, frame)
+        return self.step(self.prepare(frame))
+
+    def prepare(self, frame: Frame) -> Prepared:
+        """Compute all that needs no other frame; may run ahead on any thread. Never raises."""
+        try:
+            view.check_frame(frame, self.calibration)
+            seen = view.make_view(frame, self._resampler, gray=True)
+            view.check_view(seen)
+            found = self._with_tilt(features.extract(seen, self.calibration, self.options.features))
+        except FrameError as error:
+            return Prepared(frame.index, frame.name, frame.stamp, None, None, str(error))
+        except (cv2.error, ValueError, TypeError) as error:
+            reason = f"cannot be processed: {' '.join(str(error).split())}"
+            return Prepared(frame.index, frame.name, frame.stamp, None, None, reason)
+        return Prepared(frame.index, frame.name, frame.stamp, seen, found)
+
+    def _with_tilt(self, found: Features) -> Features:
+        """Widen the sigmas along the line of sight by what a rocking camera adds to them."""
+        tilt = math.radians(self.options.tilt_sigma_degrees)
+        sigmas = found.sigmas.copy()
+        sigmas[:, 0] = np.hypot(
+            sigmas[:, 0], camera.range_sigma(self.calibration, found.points, tilt)
+        )
+        return replace(found, sigmas=sigmas)
+
+    def step(self, prepared: Prepared) -> PoseEstimate:
+        """Place one prepared frame; frames come in order, and an index that came before is refused.
+
+        The refusal is an estimate too, lost and not kept.
+        """
+        self._trials = []
+        if prepared.index in self._estimates:
+            return _lost(prepared, f"frame index {prepared.index} came before; give a new one")
+        if prepared.view is None or prepared.features is None:
+            return self._lose(prepared, prepared.reason)
+        before, self._latest = self._latest, prepared
+        if before is not None and _same_picture(before, prepared):
+            return self._repeat(before, prepared)
+        found, needed = len(prepared.features), self.options.matching.min_inliers
+        if found < needed:
+            return self._lose(prepared, f"{found} features; at least {needed} are needed")
+        trials = self._trials = self._compare(prepared)
+        if any(trial.link is not None for trial in trials):
+            return self._place(prepared, trials)
+        if not self._keyframes:
+            return self._begin_fragment(prepared)
+        if self._stray is not None:
+            trial = self._try(self._stray, prepared)
+            self._trials = [*trials, trial]
+            if trial.link is not None:
+                stray, self._stray = self._stray, None
+                self._begin_fragment(stray)
+                placed = self._place(prepared, [trial])
+                placed = replace(placed, revised=(*placed.revised, stray.index))
+                self._estimates[prepared.index] = placed
+                return placed
+        self._stray = prepared
+        return self._lose(prepared, trials[0].reason)
+
+    def finish(self) -> list[PoseEstimate]:
+        """Weigh all links against one another and return every frame's final estimate.
+
+        Fragments that links connect become one; they are numbered from the one with most frames
+        down, and each has its first frame as its origin. A frame that nothing ties to any other
+        is lost.
+        """
+        placed = [e.index for e in self._estimates.values() if e.map_from_robot is not None]
+        groups = posegraph.components(placed, self._links)
+        linked = [group for group in groups if len(group) > 1] or groups[:1]
+        for group in groups:
+            if group not in linked:
+                self._unplace(group[0])
+        linked.sort(key=lambda group: (-len(group), group[0]))
+        for fragment, group in enumerate(linked):
+            self._solve(group, fragment)
+        return self.estimates
+
+    def _compare(self, prepared: Prepared) -> list[Trial]:
+        """Try the latest keyframes, newest first: all that overlap once one has been believed."""
+        trials: list[Trial] = []
+        for keyframe in reversed(self._keyframes):
+            believed = next((t for t in trials if t.link is not None), None)
+            guess = None
+            if believed is not None:
+                if believed.overlap >= self.options.keyframe_overlap:
+                    break
+                guess = self._predict(believed, keyframe)
+                if guess is None:
+                    continue
+            trials.append(self._try(keyframe, prepared, guess))
+        return trials
+
+    def _predict(self, believed: Trial, keyframe: Prepared) -> Pose2 | None:
+        """Return ``keyframe_from_now`` by way of a believed trial; None for another fragment."""
+        assert believed.link is not None
+        known, other = self._estimates[believed.keyframe.index], self._estimates[keyframe.index]
+        if known.fragment != other.fragment:
+            return None
+        assert known.map_from_robot is not None
+        assert other.map_from_robot is not None
+        other_from_known = other.map_from_robot.inverse() @ known.map_from_robot
+        return other_from_known @ believed.link.a_from_b
+
+    def _try(self, keyframe: Prepared, prepared: Prepared, guess: Pose2 | None = None) -> Trial:
+        """Align a frame to a keyframe and check the fit by the pixels before it is believed."""
+        assert keyframe.features is not None
+        assert keyframe.view is not None
+        assert prepared.features is not None
+        assert prepared.view is not None
+        options = replace(self.options.matching, model="rigid")
+        fit = align.align(keyframe.features, prepared.features, options, guess)
+        if fit.pose is None or fit.covariance is None or fit.reason:
+            return Trial(keyframe, prepared, fit, None, 0.0, f"{fit.reason} (to {keyframe.name})")
+        pose, covariance = fit.pose, fit.covariance
+        agreed = dense.agreement(keyframe.view, prepared.view, pose)
+        if self.options.refine:
+            refined = dense.refine(
+                keyframe.view,
+                prepared.view,
+                pose,
+                self.calibration,
+                math.radians(self.options.tilt_sigma_degrees),
+            )
+            if refined is not None:
+                again = dense.agreement(keyframe.view, prepared.view, refined.a_from_b)
+                if again.correlation > agreed.correlation:
+                    pose, covariance, agreed = refined.a_from_b, refined.covariance, again
+        reason = self._doubt(agreed)
+        if reason:
+            reason = f"{reason} (to {keyframe.name})"
+            return Trial(keyframe, prepared, fit, None, agreed.overlap, reason)
+        link = Link(
+            keyframe.index,
+            prepared.index,
+            pose,
+            covariance,
+            fit.inlier_count,
+            agreed.correlation,
+            "step",
+        )
+        return Trial(keyframe, prepared, fit, link, agreed.overlap)
+
+    def _doubt(self, agreed: dense.Agreement) -> str:
+        """Return why the pixels contradict a fit; empty when they do not."""
+        if agreed.overlap < self.options.min_overlap:
+            return (
+                f"the fit leaves an overlap of {agreed.overlap:.0%}; "
+                f"at least {self.options.min_overlap:.0%} is needed"
+            )
+        if not agreed.correlation >= self.options.min_score:
+            return (
+                f"the pixels disagree with the fit: correlation {agreed.correlation:.2f}; "
+                f"at least {self.options.min_score:.2f} is needed"
+            )
+        return ""
+
+    def _place(self, prepared: Prepared, trials: list[Trial]) -> PoseEstimate:
+        """Place a frame by its believed links; a keyframe if it shows enough new floor."""
+        believed = [trial for trial in trials if trial.link is not None]
+        best = min(believed, key=lambda trial: _uncertainty(trial.link))
+        link = best.link
+        assert link is not None
+        origin = self._estimates[link.a]
+        assert origin.map_from_robot is not None
+        assert origin.covariance is not None
+        self._links += [trial.link for trial in believed if trial.link is not None]
+        estimate = PoseEstimate(
+            prepared.index,
+            prepared.name,
+            prepared.stamp,
+            origin.map_from_robot @ link.a_from_b,
+            "tracked",
+            "",
+            origin.fragment,
+            posegraph.compose_covariance(origin.covariance, link.a_from_b, link.covariance),
+            link.inliers,
+            link.score,
+        )
+        self._estimates[prepared.index] = estimate
+        self._stray = None
+        if max(trial.overlap for trial in believed) < self.options.keyframe_overlap:
+            self._add_keyframe(prepared)
+        if any(
+            self._estimates[trial.keyframe.index].fragment != origin.fragment for trial in believed
+        ):
+            estimate = self._join(prepared.index)
+        return estimate
+
+    def _join(self, index: int) -> PoseEstimate:
+        """Re-solve the component that a link between two fragments has just connected."""
+        placed = [e.index for e in self._estimates.values() if e.map_from_robot is not None]
+        groups = posegraph.components(placed, self._links)
+        group = next(group for group in groups if index in group)
+        self._solve(group, self._estimates[group[0]].fragment)
+        others = tuple(member for member in group if member != index)
+        self._estimates[index] = replace(self._estimates[index], revised=others)
+        return self._estimates[index]
+
+    def _solve(self, group: list[int], fragment: int) -> None:
+        """Solve one component, its first frame at the origin, and revise its estimates."""
+        initial = self._spread(group)
+        members = set(group)
+        solution = posegraph.solve(initial, [link for link in self._links if link.a in members])
+        for index in group:
+            self._estimates[index] = replace(
+                self._estimates[index],
+                map_from_robot=solution.poses[index],
+                covariance=solution.covariances[index],
+                fragment=fragment,
+            )
+
+    def _spread(self, group: list[int]) -> dict[int, Pose2]:
+        """Return first poses for a component by walking its links from its first frame."""
+        neighbours: dict[int, list[tuple[int, Pose2]]] = {index: [] for index in group}
+        for link in self._links:
+            if link.a in neighbours:
+                neighbours[link.a].append((link.b, link.a_from_b))
+                neighbours[link.b].append((link.a, link.a_from_b.inverse()))
+        poses = {group[0]: Pose2()}
+        queue = [group[0]]
+        for index in queue:
+            for other, pose in neighbours[index]:
+                if other not in poses:
+                    poses[other] = poses[index] @ pose
+                    queue.append(other)
+        return poses
+
+    def _begin_fragment(self, prepared: Prepared) -> PoseEstimate:
+        """Make a frame the origin of a map of its own."""
+        estimate = PoseEstimate(
+            prepared.index,
+            prepared.name,
+            prepared.stamp,
+            Pose2(),
+            "tracked",
+            "",
+            self._next_fragment,
+            _SAME_POSE_COVARIANCE,
+        )
+        self._next_fragment += 1
+        self._estimates[prepared.index] = estimate
+        self._add_keyframe(prepared)
+        return estimate
+
+    def _add_keyframe(self, prepared: Prepared) -> None:
+        self._keyframes.append(prepared)
+        del self._keyframes[: -self.options.recent_keyframes]
+
+    def _repeat(self, before: Prepared, prepared: Prepared) -> PoseEstimate:
+        """Give a frame that shows the same picture as the one before it the same estimate."""
+        known = self._estimates[before.index]
+        estimate = replace(
+            known,
+            index=prepared.index,
+            name=prepared.name,
+            stamp=prepared.stamp,
+            reason=known.reason or f"same picture as {before.name}",
+            revised=(),
+        )
+        self._estimates[prepared.index] = estimate
+        if known.map_from_robot is not None:
+            covariance = _SAME_POSE_COVARIANCE
+            self._links.append(
+                Link(before.index, prepared.index, Pose2(), covariance, 0, 1.0, "step")
+            )
+        return estimate
+
+    def _lose(self, prepared: Prepared, reason: str) -> PoseEstimate:
+        estimate = _lost(prepared, reason)
+        self._estimates[prepared.index] = estimate
+        return estimate
+
+    def _unplace(self, index: int) -> None:
+        """Take back a frame that started a map which no other frame joined."""
+        self._estimates[index] = _lost(self._estimates[index], "overlaps no other frame")
+
+
+def _lost(frame: Prepared | PoseEstimate, reason: str) -> PoseEstimate:
+    return PoseEstimate(frame.index, frame.name, frame.stamp, None, "lost", reason)
+
+
+def _same_picture(a: Prepared, b: Prepared) -> bool:
+    assert a.view is not None
+    assert b.view is not None
+    return np.array_equal(a.view.image, b.view.image) and np.array_equal(a.view.mask, b.view.mask)
+
+
+def _uncertainty(link: Link | None) -> float:
+    assert link is not None
+    return float(np.linalg.det(link.covariance))
+
+
+def placed_fragments(estimates: Iterable[PoseEstimate]) -> dict[int, list[PoseEstimate]]:
+    """Return the placed frames by fragment, the fragments by number."""
+    fragments: dict[int, list[PoseEstimate]] = {}
+    for estimate in estimates:
+        if estimate.map_from_robot is not None:
+            fragments.setdefault(estimate.fragment, []).append(estimate)
+    return dict(sorted(fragments.items()))

@@ -1,0 +1,50 @@
+"""Progress for the eye: a bar on a terminal, a line now and then in a log."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any, Self
+
+import click
+from tqdm import tqdm
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+_LINES_A_STAGE = 5
+
+
+class ProgressBar:
+    """Shows how far each stage is; a context manager, as a bar must be closed."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stderr.isatty()
+        self._stage = ""
+        self._bar: tqdm[Any] | None = None
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Show that `done` of `total` steps of `stage` are finished."""
+        if not self._terminal:
+            if done == total or done % max(1, total // _LINES_A_STAGE) == 0:
+                click.echo(f"{stage} {done}/{total}", err=True)
+            return
+        if self._bar is None or stage != self._stage:
+            self._close()
+            self._stage, self._bar = stage, tqdm(total=total, desc=stage, unit="frame")
+        self._bar.update(done - self._bar.n)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._close()
+
+    def _close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None

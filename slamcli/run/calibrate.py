@@ -1,0 +1,392 @@
+"""`slam calibrate`: photos of a square on the floor to calibrations, check pictures, a table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.core.config import FeatureOptions
+from slamcli.core.errors import CalibrationError, FrameError, InputError, SlamcliError
+from slamcli.core.records import Frame, Intrinsics
+from slamcli.io.calibrations import Origin, load_intrinsics, save_calibration
+from slamcli.io.files import refuse_existing, write_image
+from slamcli.io.frames import read_image
+from slamcli.stages import board, camera, features, square, view
+from slamcli.stages import calibrate as solving
+from slamcli.stages.draw.calibration import birdseye_metres_per_pixel, draw_calibration
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import Calibration
+
+# How far a given corner may be off, one sigma, where nothing measured it.
+_GIVEN_CORNER_SIGMA_PIXELS = 0.5
+# What an unknown lens and an uneven floor move corners by, as a share of the picture's width.
+_TOLERANCE_SHARE = 0.003
+_BOW_WORTH_TELLING_SHARE = 0.002
+# Floor that a pixel covers more of than this shows no scuff, seam or painted edge sharply.
+RESOLVED_METRES_PER_PIXEL = 0.002
+_COMPARED_FEATURES = 5000
+_EQUAL_SHARE = 0.05
+_YAML_SUFFIXES = {".yaml", ".yml"}
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrateOptions:
+    """What `slam calibrate` was told.
+
+    Attributes
+    ----------
+    side_metres : float
+        Of the square, the marker, or one field of the chessboard.
+    corners : tuple of (x, y) pairs or None
+        Pixels; any order.
+    refine : bool
+        Move the given corners to the picture's edges nearby.
+    chessboard : (float, float) or None
+        Inner corners along both sides; whole numbers.
+    marker : str or None
+        ArUco dictionary.
+    intrinsics_path : Path or None
+        ROS camera_info.
+    max_range_metres : float or None
+        Far limit; chosen by the sampling when None.
+    """
+
+    side_metres: float
+    corners: tuple[tuple[float, float], ...] | None = None
+    refine: bool = False
+    chessboard: tuple[float, float] | None = None
+    marker: str | None = None
+    intrinsics_path: Path | None = None
+    max_range_metres: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """What was found in a photo: its points, its outline in pixels, what to say of it."""
+
+    name: str
+    points: solving.FloorPoints
+    outline: NDArray[np.float64]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """One photo's calibration, and what it is worth as a place to mount the camera.
+
+    Attributes
+    ----------
+    photo : Path
+    image : (H, W, 3) uint8
+    target : Target
+    mounting : Mounting
+    calibration : Calibration
+    area, resolved_area : float
+        Square metres of floor kept, and of those the part that a pixel of at most
+        `RESOLVED_METRES_PER_PIXEL` sees.
+    near_metres : float
+    feature_count : int
+        ORB points in the kept part of the bird's-eye view.
+    """
+
+    photo: Path
+    image: NDArray[np.uint8]
+    target: Target
+    mounting: solving.Mounting
+    calibration: Calibration
+    area: float
+    resolved_area: float
+    near_metres: float
+    feature_count: int
+
+
+def calibrate(
+    photos: Sequence[Path], output: Path, options: CalibrateOptions, *, overwrite: bool
+) -> list[str]:
+    """Calibrate from each photo, write files, and return what to tell the user.
+
+    One photo: `output` (a .yaml file, or a folder for calibration.yaml) and its check picture, the
+    same name with .png. Several: `output` is the best one's, and each photo's own calibration and
+    picture go beside it, named after it and the photo.
+
+    Raises
+    ------
+    InputError, CalibrationError, OutputError
+        CalibrationError when no photo yields a calibration.
+    """
+    _check(options, photos)
+    path = output if output.suffix.lower() in _YAML_SUFFIXES else output / "calibration.yaml"
+    own = [path.with_name(f"{path.stem}_{photo.stem}{path.suffix}") for photo in photos]
+    if len(set(own)) < len(own):
+        raise InputError("two photos have the same name; rename one, or calibrate them singly")
+    for place in [path] if len(photos) == 1 else [path, *own]:
+        refuse_existing(place, overwrite=overwrite)
+        refuse_existing(place.with_suffix(".png"), overwrite=overwrite)
+    intrinsics = options.intrinsics_path and load_intrinsics(options.intrinsics_path)
+    results: list[Result] = []
+    failures: list[str] = []
+    for photo in photos:
+        try:
+            results.append(_calibrate(photo, options, intrinsics or None))
+        except SlamcliError as error:
+            if len(photos) == 1:
+                raise
+            failures.append(f"{photo.name}: {error}")
+    if not results:
+        raise CalibrationError(f"no photo yields a calibration; {failures[0]}")
+    if len(photos) == 1:
+        _write(path, results[0], options)
+        return [*_describe(results[0]), f"wrote {path} and {path.with_suffix('.png').name}"]
+    best, reason = choose_best(results)
+    for place, result in zip(own, _aligned(photos, results), strict=True):
+        if result is not None:
+            _write(place, result, options)
+    _write(path, best, options)
+    return [
+        *compare(results),
+        *[f"not calibrated: {failure}" for failure in failures],
+        f"best: {best.photo.name}, {reason}",
+        *_describe(best),
+        f"wrote {path} (the best), and each photo's own beside it",
+    ]
+
+
+def compare(results: Sequence[Result]) -> list[str]:
+    """Return a table, one line a photo, of what each mounting sees of the floor."""
+    header = (
+        f"{'photo':<24}{'pitch':>8}{'height':>9}{'area':>10}{'resolved':>10}{'near':>8}{'far':>8}"
+        f"{'mm/px near':>13}{'1 m':>13}{'far':>13}{'ORB':>7}"
+    )
+    lines = [header]
+    for result in results:
+        calibration = result.calibration
+        cells = [_cell(sampling) for _, sampling in _sampling(result)]
+        lines.append(
+            f"{result.photo.name[:23]:<24}{np.degrees(calibration.pitch_radians):>7.1f}°"
+            f"{calibration.height_metres:>7.3f} m{result.area:>7.3f} m²{result.resolved_area:>7.3f} m²"
+            f"{result.near_metres:>6.2f} m{calibration.max_range_metres:>6.2f} m"
+            + "".join(f"{cell:>13}" for cell in cells)
+            + f"{result.feature_count:>7}"
+        )
+    return lines
+
+
+def choose_best(results: Sequence[Result]) -> tuple[Result, str]:
+    """Return the mounting that resolves most floor, and why; near-equal ones by their features.
+
+    A steep camera sees little floor, a flat one sees much of it smeared. What counts is the area
+    that is both kept and seen at `RESOLVED_METRES_PER_PIXEL` or finer along the line of sight.
+    """
+    most = max(result.resolved_area for result in results)
+    limit = f"{1000 * RESOLVED_METRES_PER_PIXEL:g} mm a pixel or finer"
+    rivals = [result for result in results if result.resolved_area >= (1 - _EQUAL_SHARE) * most]
+    best = max(rivals, key=lambda result: result.feature_count)
+    if len(rivals) > 1:
+        return best, (
+            f"which resolves {best.resolved_area:.3f} m² of floor at {limit}, like "
+            f"{len(rivals) - 1} more, and shows most ORB points there ({best.feature_count})"
+        )
+    return best, f"which resolves most floor: {best.resolved_area:.3f} m² at {limit}"
+
+
+def _check(options: CalibrateOptions, photos: Sequence[Path]) -> None:
+    if not options.side_metres > 0 or not np.isfinite(options.side_metres):
+        raise InputError(f"--side {options.side_metres:g}: the side is a length above 0 metres")
+    if options.max_range_metres is not None and not options.max_range_metres > 0:
+        raise InputError(f"--max-range {options.max_range_metres:g}: it must be above 0 metres")
+    ways = [options.corners, options.chessboard, options.marker]
+    if sum(way is not None for way in ways) > 1:
+        raise InputError("give only one of --corners, --chessboard and --aruco")
+    if options.corners is not None and len(photos) > 1:
+        raise InputError("--corners fit one photo; calibrate several photos one at a time")
+    if options.refine and options.corners is None:
+        raise InputError("--refine moves given corners; it needs --corners")
+
+
+def _calibrate(photo: Path, options: CalibrateOptions, intrinsics: Intrinsics | None) -> Result:
+    try:
+        image = read_image(photo)
+    except FrameError as error:
+        raise InputError(f"cannot use the photo {photo}: {error}") from error
+    size = (image.shape[1], image.shape[0])
+    if intrinsics is not None and intrinsics.image_size != size:
+        raise CalibrationError(
+            f"{photo} has {size[0]}x{size[1]} pixels, but {options.intrinsics_path} is for "
+            f"{intrinsics.image_size[0]}x{intrinsics.image_size[1]}"
+        )
+    target = _find_target(image, options, intrinsics)
+    if intrinsics is None:
+        mounting = solving.solve_mounting(target.points, size)
+    else:
+        mounting = solving.solve_mounting_with_intrinsics(target.points, intrinsics)
+    calibration = solving.make_calibration(mounting, size, intrinsics, options.max_range_metres)
+    floor = camera.seen_floor(calibration)
+    area, resolved = _areas(calibration)
+    resampler = view.make_view_resampler(
+        calibration, view.registration_metres_per_pixel(calibration)
+    )
+    seen = view.make_view(Frame(0, photo.name, None, image), resampler, gray=True)
+    count = len(features.extract(seen, calibration, FeatureOptions(count=_COMPARED_FEATURES)))
+    near = float(np.hypot(floor[:, 0], floor[:, 1]).min())
+    return Result(
+        photo, image, target, mounting, calibration, area, resolved, near, feature_count=count
+    )
+
+
+def _find_target(
+    image: NDArray[np.uint8], options: CalibrateOptions, intrinsics: Intrinsics | None
+) -> Target:
+    size = (image.shape[1], image.shape[0])
+    lens = intrinsics or _plain_lens(size)
+    target = solving.square_target(options.side_metres)
+    if options.chessboard is not None:
+        columns, rows = (round(count) for count in options.chessboard)
+        grid, pixels = board.find_chessboard(image, columns, rows, options.side_metres)
+        points = solving.FloorPoints(
+            grid,
+            camera.undistort_points(lens, pixels),
+            np.eye(2 * len(grid)) * board.CHESSBOARD_SIGMA_PIXELS**2,
+        )
+        ends = [0, columns - 1, columns * rows - 1, columns * (rows - 1)]
+        return Target(f"chessboard {columns}x{rows}", points, pixels[ends], ())
+    if options.corners is not None and not options.refine:
+        corners = solving.sort_corners(options.corners, size)
+        covariance = np.eye(8) * _GIVEN_CORNER_SIGMA_PIXELS**2
+        undistorted = camera.undistort_points(lens, corners)
+        return Target("square", solving.FloorPoints(target, undistorted, covariance), corners, ())
+    notes: list[str] = []
+    name = "square"
+    if options.corners is not None:
+        found = square.refine_square(image, solving.sort_corners(options.corners, size), lens)
+    elif options.marker is not None:
+        marker, number = board.find_marker(image, options.marker)
+        found = square.refine_square(image, solving.sort_corners(marker, size), lens)
+        name = f"aruco {options.marker.lower()} {number}"
+    else:
+        judge = partial(
+            solving.squareness,
+            image_size=size,
+            intrinsics=intrinsics,
+            tolerance_pixels=_TOLERANCE_SHARE * size[0],
+        )
+        found, *others = square.find_squares(image, lens, judge)
+        notes += [
+            f"another square may be meant ({other.score / found.score:.0%} as good): "
+            f'--corners "{_corner_text(other.corners)}"'
+            for other in others[:1]
+        ]
+    notes += _bow_note(found, intrinsics)
+    points = solving.FloorPoints(target, found.quad.corners, found.quad.covariance)
+    return Target(name, points, found.corners, tuple(notes))
+
+
+def _plain_lens(size: tuple[int, int]) -> Intrinsics:
+    """Return a lens without distortion; nothing reads its focal length."""
+    column, row = camera.image_centre(size)
+    matrix = np.array([[size[0], 0.0, column], [0.0, size[0], row], [0.0, 0.0, 1.0]])
+    return Intrinsics(matrix, np.zeros(5), "plumb_bob", size)
+
+
+def _bow_note(found: square.Square, intrinsics: Intrinsics | None) -> list[str]:
+    corners = found.quad.corners
+    longest = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).max())
+    bow = abs(found.quad.bow_pixels)
+    if bow < max(0.5, _BOW_WORTH_TELLING_SHARE * longest):
+        return []
+    cure = "give --intrinsics" if intrinsics is None else "check --intrinsics"
+    return [
+        f"the square's sides bow by up to {bow:.1f} px: the lens distorts or the floor is uneven; {cure}"
+    ]
+
+
+def _areas(calibration: Calibration) -> tuple[float, float]:
+    """Return square metres of floor kept, and the part that is resolved."""
+    hull = camera.footprint_hull(calibration)
+    x, y = hull.T
+    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    floor = camera.seen_floor(calibration)
+    sampling = camera.floor_sampling(calibration, floor)
+    # The points lie evenly in the picture, so each stands for floor like its pixel's.
+    weight = sampling.prod(axis=1)
+    resolved = sampling[:, 0] <= RESOLVED_METRES_PER_PIXEL
+    return area, area * float(weight[resolved].sum() / weight.sum())
+
+
+def _sampling(result: Result) -> list[tuple[str, NDArray[np.float64] | None]]:
+    """Return metres per pixel (along, across) at the near edge, at 1 m and at the far limit."""
+    calibration = result.calibration
+    far = calibration.max_range_metres
+    places = [
+        (f"near edge ({result.near_metres:.2f} m)", result.near_metres),
+        ("1 m" if far >= 1.0 else "1 m (not used)", 1.0),
+        (f"far limit ({far:.2f} m)", far),
+    ]
+    sampled: list[tuple[str, NDArray[np.float64] | None]] = []
+    for name, distance in places:
+        ahead = np.array([[distance, 0.0]])
+        depth = float(ahead[0] @ calibration.image_from_robot[2, :2]) + float(
+            calibration.image_from_robot[2, 2]
+        )
+        sampling = camera.floor_sampling(calibration, ahead)[0] if depth > 0 else None
+        sampled.append((name, sampling))
+    return sampled
+
+
+def _describe(result: Result) -> list[str]:
+    mounting, calibration, target = result.mounting, result.calibration, result.target
+    sigma = np.degrees(mounting.sigmas[2:])
+    focal = f"focal length {mounting.focal_pixels:.1f} ± {mounting.sigmas[0]:.1f} px, "
+    sampling = "; ".join(f"{_cell(value)} at the {name}" for name, value in _sampling(result))
+    misfit = []
+    if mounting.misfit_sigmas > solving.MISFIT_SIGMAS and mounting.residual_pixels > 0.3:
+        misfit = [
+            f"note: the corners fit a square on a flat floor only to "
+            f"{mounting.residual_pixels:.1f} px ({mounting.misfit_sigmas:.0f} sigmas)"
+        ]
+    return [
+        f"{result.photo.name}: {target.name}, corners {_corner_text(target.outline)}",
+        f"{focal if mounting.sigmas[0] > 0 else ''}height {1000 * calibration.height_metres:.1f} ± "
+        f"{1000 * mounting.sigmas[1]:.1f} mm, pitch {np.degrees(calibration.pitch_radians):.2f} ± "
+        f"{sigma[0]:.2f}°, roll {np.degrees(calibration.roll_radians):.2f} ± {sigma[1]:.2f}°",
+        f"one pixel covers, mm of floor along x across the line of sight: {sampling}",
+        f"floor kept: {result.area:.3f} m², {result.near_metres:.2f} to "
+        f"{calibration.max_range_metres:.2f} m; ORB points in it: {result.feature_count}",
+        *[f"note: {note}" for note in target.notes],
+        *misfit,
+    ]
+
+
+def _write(path: Path, result: Result, options: CalibrateOptions) -> None:
+    calibration, target = result.calibration, result.target
+    resampler = view.make_view_resampler(calibration, birdseye_metres_per_pixel(calibration))
+    frame = Frame(0, result.photo.name, None, result.image)
+    birdseye = view.make_view(frame, resampler, gray=False)
+    caption = [
+        line.replace("±", "+-").replace("°", " deg").replace("²", "2") for line in _describe(result)
+    ]
+    picture = draw_calibration(result.image, target.outline, calibration, birdseye, caption)
+    origin = Origin(result.photo.name, target.name, options.side_metres, target.outline)
+    save_calibration(path, calibration, origin)
+    write_image(path.with_suffix(".png"), picture)
+
+
+def _aligned(photos: Sequence[Path], results: Sequence[Result]) -> list[Result | None]:
+    by_photo = {result.photo: result for result in results}
+    return [by_photo.get(photo) for photo in photos]
+
+
+def _cell(sampling: NDArray[np.float64] | None) -> str:
+    return "-" if sampling is None else f"{1000 * sampling[0]:.2f} x {1000 * sampling[1]:.2f}"
+
+
+def _corner_text(corners: NDArray[np.float64]) -> str:
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)

@@ -1,0 +1,115 @@
+"""`slam detect`: the points found in every frame, drawn and in one table."""
+
+from __future__ import annotations
+
+from functools import partial
+from glob import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from slamcli.core.errors import FrameError, InputError
+from slamcli.io.files import output_folder, write_image
+from slamcli.io.frames import read_frame
+from slamcli.io.keypoints import write_keypoints
+from slamcli.run.executor import ordered
+from slamcli.run.inputs import open_inputs
+from slamcli.run.pairs import plain_picture
+from slamcli.stages import features, view
+from slamcli.stages.draw.keypoints import draw_keypoints
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from slamcli.core.config import FeatureOptions
+    from slamcli.core.records import Calibration, Features, Keypoints, View
+    from slamcli.io.frames import FrameFile
+    from slamcli.run.executor import Progress
+    from slamcli.run.inputs import Inputs
+    from slamcli.stages.view import Resampler
+
+TABLE = "features.csv"
+SUFFIX = "_keypoints.png"
+
+
+def detect(
+    sources: Sequence[Path],
+    calibration_path: Path | None,
+    output: Path,
+    options: FeatureOptions,
+    *,
+    workers: int,
+    overwrite: bool,
+    progress: Progress,
+) -> list[str]:
+    """Write one drawing a frame and `features.csv` into `output`; return what to tell the user.
+
+    Raises
+    ------
+    InputError, CalibrationError, OutputError
+        InputError too when no frame at all could be searched.
+    """
+    inputs = open_inputs(sources, calibration_path)
+    stems = [Path(file.name).stem for file in inputs.files]
+    if len(set(stems)) < len(stems):
+        raise InputError("two frames have the same name; search their folders one at a time")
+    resampler = _resampler(inputs)
+    found: list[tuple[str, Keypoints, Features]] = []
+    lines = [inputs.note] if inputs.note else []
+    products = (TABLE, *(f"{escape(stem)}{SUFFIX}" for stem in stems))
+    with output_folder(output, products, overwrite=overwrite) as staging:
+        work = partial(_search, inputs.calibration, resampler, options, staging)
+        for done, result in enumerate(ordered(work, inputs.files, workers), start=1):
+            if isinstance(result, str):
+                lines.append(f"skipped {result}")
+            else:
+                found.append(result)
+                lines.append(f"{result[0]}: {len(result[1])} {options.method.upper()} points")
+            progress("detecting", done, len(inputs.files))
+        if not found:
+            raise InputError(f"no frame could be searched; {lines[-1]}")
+        write_keypoints(staging / TABLE, found, inputs.calibration.unit)
+    return [*lines, f"drawings and {TABLE} in {output}"]
+
+
+def _resampler(inputs: Inputs) -> Resampler | None:
+    """Return what makes bird's-eye views, or None for plain pictures, whose sizes may differ."""
+    if inputs.calibration_path is None:
+        return None
+    scale = view.registration_metres_per_pixel(inputs.calibration)
+    return view.make_view_resampler(inputs.calibration, scale)
+
+
+def _search(
+    calibration: Calibration,
+    resampler: Resampler | None,
+    options: FeatureOptions,
+    staging: Path,
+    file: FrameFile,
+) -> tuple[str, Keypoints, Features] | str:
+    """Draw one frame's points; return them, or the frame's name and why it was skipped."""
+    try:
+        frame = read_frame(file)
+        if resampler is None:
+            picture = plain_picture(frame)
+            seen, calibration, colour = picture.view, picture.calibration, frame.image
+        else:
+            view.check_frame(frame, calibration)
+            seen = view.make_view(frame, resampler, gray=True)
+            colour = view.make_view(frame, resampler, gray=False).image
+    except FrameError as error:
+        return f"{file.name}: {error}"
+    keypoints = features.detect(seen, options)
+    drawing = draw_keypoints(view.to_colour(colour), keypoints, *_removed(seen, options))
+    write_image(staging / f"{Path(file.name).stem}{SUFFIX}", drawing)
+    return file.name, keypoints, features.to_features(seen, keypoints, calibration)
+
+
+def _removed(seen: View, options: FeatureOptions) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return what cleaning made black, and what of the seen the region of interest left out."""
+    shown = features.prepare(seen, options)
+    was_seen = seen.mask > 0
+    cleaned = was_seen & (shown.gray == 0) & (seen.image > 0)
+    return cleaned, was_seen & (shown.allowed == 0)

@@ -1,0 +1,199 @@
+"""`slam simulate`: a world with exact truth, as the files that the other commands read."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.core.errors import FrameError, InputError
+from slamcli.core.geometry import Pose2
+from slamcli.io import telemetry
+from slamcli.io.calibrations import save_calibration
+from slamcli.io.files import output_folder, write_image
+from slamcli.io.frames import read_image
+from slamcli.io.poses import read_path
+from slamcli.run.executor import ordered
+from slamcli.stages import camera
+from slamcli.stages.simulate import drive, floors, photograph
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from slamcli.core.geometry import Grid
+    from slamcli.core.records import Calibration
+    from slamcli.core.simulation import SimulationOptions
+    from slamcli.run.executor import Progress
+
+PRODUCTS = (
+    "frames",
+    "square.png",
+    "truth.csv",
+    "odometry.csv",
+    "compass.csv",
+    "gps.csv",
+    "camera.yaml",
+)
+# The course's own way starts here, in its board's frame, so that a lap stays around its middle.
+_COURSE_START = Pose2(-0.55, -0.62, 0.0)
+_SQUARE_GRAY = 232.0
+_SQUARE_YAW_RADIANS = math.radians(7.0)
+_SQUARE_MARGIN_PIXELS = 12
+_SQUARE_NOISE_GRAY = 2.0
+# Numbers of the random streams that a seed splits into.
+_SENSORS, _BOXES, _SQUARE, _FRAMES = range(4)
+
+
+def simulate(
+    output: Path,
+    options: SimulationOptions,
+    *,
+    workers: int,
+    overwrite: bool,
+    progress: Progress,
+) -> list[str]:
+    """Write frames, calibration photo, truth and sensors into `output`; return what to tell.
+
+    Raises
+    ------
+    InputError, OutputError
+    """
+    calibration = photograph.make_camera(options.camera)
+    floor = _floor(options, calibration)
+    poses = _poses(options)
+    boxes = drive.scatter_boxes(
+        poses,
+        options.disturbances.boxes,
+        options.frame_rate_hertz,
+        np.random.default_rng([options.seed, _BOXES]),
+    )
+    start = _COURSE_START if options.floor == "course" else Pose2()
+    world = photograph.World(
+        floor, tuple(replace(b, world_from_box=start @ b.world_from_box) for b in boxes)
+    )
+    square = _photograph_square(calibration, options)
+    count = len(poses) - 1
+    names = [f"{index:04d}.jpg" for index in range(count)]
+    stamps = [index / options.frame_rate_hertz for index in range(count)]
+    with output_folder(output, PRODUCTS, overwrite=overwrite) as staging:
+        photographer = photograph.Photographer(world, calibration)
+        ways = [(start @ poses[i], start @ poses[i + 1]) for i in range(count)]
+        jobs = list(zip(range(count), ways, stamps, strict=True))
+        work = partial(_take, photographer, options)
+        for index, image in enumerate(ordered(work, jobs, workers)):
+            path = staging / "frames" / names[index]
+            write_image(path, image, jpeg_quality=options.jpeg_quality)
+            progress("taking frames", index + 1, count)
+        write_image(staging / "square.png", square)
+        telemetry.write_truth(staging / "truth.csv", names, stamps, poses[:-1])
+        _write_sensors(staging, options, stamps, poses[:-1])
+        save_calibration(staging / "camera.yaml", calibration)
+    square_metres = options.square_side_metres
+    return [f"{count} frames, truth, sensors and a {square_metres:g} m square in {output}"]
+
+
+def _floor(options: SimulationOptions, calibration: Calibration) -> floors.Floor:
+    if options.floor not in floors.FLOORS:
+        try:
+            image = read_image(Path(options.floor))
+        except FrameError as error:
+            kinds = ", ".join(floors.FLOORS)
+            raise InputError(
+                f"--floor {options.floor}: neither {kinds} nor a picture ({error})"
+            ) from error
+        return floors.picture_floor(image, options.floor_metres_per_pixel)
+    # Fine enough for the near edge, and no finer than the eye of the camera.
+    nearest = camera.floor_sampling(calibration, camera.seen_floor(calibration))[:, 1].min()
+    resolution = float(np.clip(0.00025 * 2 ** round(math.log2(nearest / 0.00025)), 0.00025, 0.001))
+    return floors.make_floor(options.floor, options.wear, resolution, options.seed)
+
+
+def _poses(options: SimulationOptions) -> list[Pose2]:
+    """Return one pose more than frames, in the map, whose origin is the first frame's robot."""
+    if options.path in drive.PATHS:
+        return drive.make_path(options)
+    path = Path(options.path)
+    if not path.is_file():
+        kinds = ", ".join(drive.PATHS)
+        raise InputError(f"--path {path}: neither {kinds} nor a CSV file of poses")
+    poses = read_path(path)
+    if len(poses) < 2:
+        raise InputError(f"{path} has {len(poses)} poses; at least 2 are needed for a drive")
+    first = poses[0].inverse()
+    relative = [first @ pose for pose in poses]
+    return [*relative, relative[-1] @ (relative[-2].inverse() @ relative[-1])]
+
+
+def _take(
+    photographer: photograph.Photographer,
+    options: SimulationOptions,
+    job: tuple[int, tuple[Pose2, Pose2], float],
+) -> NDArray[np.uint8]:
+    index, way, stamp = job
+    generator = np.random.default_rng([options.seed, _FRAMES, index])
+    return photograph.take(photographer, way, stamp, options.disturbances, generator)
+
+
+def _photograph_square(calibration: Calibration, options: SimulationOptions) -> NDArray[np.uint8]:
+    """Return a photo of a white square on plain floor, as large as fits wholly into the picture."""
+    corners = _place_square(calibration, options.square_side_metres)
+    floor = floors.make_floor("concrete", 0.0, 0.001, options.seed)
+    world = photograph.World(_Darkened(floor), decals=(photograph.Decal(corners, _SQUARE_GRAY),))
+    quiet = replace(
+        options.disturbances,
+        noise_gray=min(_SQUARE_NOISE_GRAY, options.disturbances.noise_gray),
+        motion_blur=0.0,
+        flicker=0.0,
+        rocking_degrees=0.0,
+        bounce_metres=0.0,
+    )
+    photographer = photograph.Photographer(world, calibration)
+    generator = np.random.default_rng([options.seed, _SQUARE])
+    return photograph.take(photographer, (Pose2(), Pose2()), 0.0, quiet, generator)
+
+
+def _place_square(calibration: Calibration, side_metres: float) -> NDArray[np.float64]:
+    """Return the (4, 2) corners of a square, slightly turned, that is seen whole and large."""
+    half = side_metres / 2
+    outline = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    width, height = calibration.image_size
+    margin = _SQUARE_MARGIN_PIXELS
+    for distance in np.linspace(0.0, 40 * side_metres, 400):
+        corners = Pose2(float(distance), 0.0, _SQUARE_YAW_RADIANS).apply(outline)
+        pixels, seen = camera.project_floor(calibration, corners)
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        if seen.all() and low.min() > margin and np.all(high < (width - margin, height - margin)):
+            return corners
+    raise InputError(
+        f"a square of {side_metres:g} m does not fit into the picture; "
+        "use a smaller --square-side or another camera"
+    )
+
+
+class _Darkened:
+    """A floor at half its brightness, so that a white square stands out of it."""
+
+    def __init__(self, floor: floors.Floor) -> None:
+        self.metres_per_pixel = floor.metres_per_pixel
+        self._floor = floor
+
+    def region(self, grid: Grid) -> NDArray[np.uint8]:
+        """Return the floor's pixels, halved."""
+        return self._floor.region(grid) // np.uint8(2)
+
+
+def _write_sensors(
+    staging: Path, options: SimulationOptions, stamps: Sequence[float], poses: Sequence[Pose2]
+) -> None:
+    sensors = options.sensors
+    readings = drive.sense(poses, sensors, np.random.default_rng([options.seed, _SENSORS]))
+    telemetry.write_odometry(staging / "odometry.csv", stamps, readings.odometry)
+    sigma = math.radians(sensors.compass_sigma_degrees)
+    telemetry.write_compass(staging / "compass.csv", stamps, readings.compass_radians, sigma)
+    telemetry.write_gps(staging / "gps.csv", stamps, readings.gps_degrees, sensors.gps_sigma_metres)

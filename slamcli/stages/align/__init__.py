@@ -1,0 +1,208 @@
+"""From two sets of features to the transform between them, or to why there is none."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.core.geometry import Pose2, apply_homography
+from slamcli.core.records import Alignment
+from slamcli.stages.align.matching import match_descriptors
+from slamcli.stages.align.models import MODELS
+from slamcli.stages.align.ransac import Consensus, ransac, residuals_of
+from slamcli.stages.align.rigid import RigidFit, fit_rigid
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.core.config import MatchOptions
+    from slamcli.core.records import Features
+
+__all__ = [
+    "MODELS",
+    "Consensus",
+    "RigidFit",
+    "align",
+    "fit_rigid",
+    "match_descriptors",
+    "ransac",
+]
+
+
+def align(
+    features_a: Features,
+    features_b: Features,
+    options: MatchOptions,
+    guess: Pose2 | None = None,
+) -> Alignment:
+    """Match two sets of features, fit a transform, and judge whether to believe it.
+
+    Parameters
+    ----------
+    features_a, features_b : Features
+        Of one kind and one unit.
+    options : MatchOptions
+    guess : Pose2 or None
+        ``a_from_b`` as expected; keeps matches within the options' search radius.
+
+    Returns
+    -------
+    Alignment
+        With a one-line reason when it is not to be believed.
+    """
+    matches, _ = match_descriptors(
+        features_a, features_b, options, None if guess is None else guess.matrix
+    )
+    points_a = features_a.points[matches[:, 0]].astype(np.float64)
+    points_b = features_b.points[matches[:, 1]].astype(np.float64)
+    sigmas_a = features_a.sigmas[matches[:, 0]].astype(np.float64)
+    sigmas_b = features_b.sigmas[matches[:, 1]].astype(np.float64)
+    thresholds = _thresholds(sigmas_a, sigmas_b, options)
+    model = MODELS[options.model]
+    consensus = ransac(
+        points_a,
+        points_b,
+        model,
+        thresholds,
+        confidence=options.confidence,
+        max_iterations=options.max_iterations,
+        seed=options.seed,
+    )
+    if consensus is None:
+        return _nothing(features_a, features_b, matches, options)
+    a_from_b, inliers = consensus.a_from_b, consensus.inliers
+    residuals, pose, covariance = consensus.residuals, None, None
+    if options.model == "rigid":
+        fit = fit_rigid(
+            points_a[inliers],
+            points_b[inliers],
+            sigmas_a[inliers],
+            sigmas_b[inliers],
+            Pose2.from_matrix(a_from_b),
+        )
+        if fit is None:
+            return _nothing(features_a, features_b, matches, options)
+        pose, covariance, a_from_b = fit.a_from_b, fit.covariance, fit.a_from_b.matrix
+        residuals = residuals_of(a_from_b[None], points_a, points_b, model)[0]
+        inliers = residuals < thresholds
+    spread = max(
+        _spread(points_a[inliers], features_a.points), _spread(points_b[inliers], features_b.points)
+    )
+    reason = (
+        _too_few(inliers, len(features_a), len(features_b), options)
+        or _too_loose(residuals, thresholds, inliers, spread, options)
+        or _implausible(a_from_b, points_b[inliers], options)
+    )
+    return Alignment(
+        options.model, a_from_b, pose, covariance, matches, inliers, residuals, spread, reason
+    )
+
+
+def _thresholds(
+    sigmas_a: NDArray[np.float64], sigmas_b: NDArray[np.float64], options: MatchOptions
+) -> NDArray[np.float64]:
+    """Return (M,): how far a match may lie from the transform."""
+    if options.threshold is not None:
+        return np.full(len(sigmas_a), options.threshold)
+    variance = np.max(sigmas_a, axis=1) ** 2 + np.max(sigmas_b, axis=1) ** 2
+    return np.asarray(options.threshold_sigmas * np.sqrt(variance))
+
+
+def _nothing(
+    a: Features, b: Features, matches: NDArray[np.int32], options: MatchOptions
+) -> Alignment:
+    none = np.zeros(len(matches), dtype=np.bool_)
+    return Alignment(
+        options.model,
+        None,
+        None,
+        None,
+        matches,
+        none,
+        np.full(len(matches), np.nan),
+        0.0,
+        _too_few(none, len(a), len(b), options) or "the matches do not determine a transform",
+    )
+
+
+def _too_few(inliers: NDArray[np.bool_], count_a: int, count_b: int, options: MatchOptions) -> str:
+    """Return why there is too little to go by, or nothing."""
+    needed = options.min_inliers
+    agree, count = int(inliers.sum()), len(inliers)
+    if min(count_a, count_b) < needed:
+        return f"{count_a} and {count_b} features; at least {needed} of each are needed"
+    if count < needed:
+        return f"{count} matches; at least {needed} are needed"
+    if agree < needed:
+        return f"{agree} inliers of {count} matches; at least {needed} are needed"
+    if agree < options.min_inlier_ratio * count:
+        return (
+            f"{agree} inliers of {count} matches ({agree / count:.0%}); "
+            f"at least {options.min_inlier_ratio:.0%} must agree"
+        )
+    return ""
+
+
+def _too_loose(
+    residuals: NDArray[np.float64],
+    thresholds: NDArray[np.float64],
+    inliers: NDArray[np.bool_],
+    spread: float,
+    options: MatchOptions,
+) -> str:
+    """Return why the inliers do not carry a transform, or nothing."""
+    relative = float(np.sqrt(np.mean((residuals[inliers] / thresholds[inliers]) ** 2)))
+    if relative > options.max_residual_ratio:
+        return (
+            f"the {int(inliers.sum())} inliers agree no better than by chance: "
+            f"rms residual {relative:.2f} of the threshold, at most "
+            f"{options.max_residual_ratio:.2f} is believed"
+        )
+    if spread < options.min_spread:
+        return (
+            f"the {int(inliers.sum())} inliers crowd on {spread:.1%} of the view's extent; "
+            f"at least {options.min_spread:.0%} is needed"
+        )
+    return ""
+
+
+def _implausible(
+    a_from_b: NDArray[np.float64], points_b: NDArray[np.float64], options: MatchOptions
+) -> str:
+    """Return why a camera over a floor cannot have made this transform, or nothing.
+
+    The scales in the two directions are the singular values of the Jacobian at the inliers.
+    """
+    w = points_b @ a_from_b[2, :2] + a_from_b[2, 2]
+    mapped = apply_homography(a_from_b, points_b)
+    jacobian = (a_from_b[:2, :2] - mapped[:, :, None] * a_from_b[2, :2]) / w[:, None, None]
+    scales = np.linalg.svd(jacobian, compute_uv=False)
+    largest, smallest = float(scales.max()), float(scales.min())
+    if largest > options.max_scale or smallest < 1.0 / options.max_scale:
+        odd = largest if largest > options.max_scale else smallest
+        return (
+            f"a scale of {odd:.3g} among the inliers; believed are "
+            f"{1.0 / options.max_scale:.3g} to {options.max_scale:.3g}"
+        )
+    stretch = float((scales[:, 0] / scales[:, 1]).max())
+    if stretch > options.max_stretch:
+        return (
+            f"a stretch of {stretch:.3g} among the inliers; "
+            f"at most {options.max_stretch:.3g} is believed"
+        )
+    return ""
+
+
+def _spread(inliers: NDArray[np.float64], points: NDArray[np.float32]) -> float:
+    """Return the narrower extent of (N, 2) inliers over that of all points of the view."""
+    if len(inliers) < 2:
+        return 0.0
+    everywhere = _narrower_extent(points.astype(np.float64))
+    return _narrower_extent(inliers) / everywhere if everywhere > 0.0 else 0.0
+
+
+def _narrower_extent(points: NDArray[np.float64]) -> float:
+    """Return the standard deviation of (N, 2) points in the direction where it is least."""
+    smallest = np.linalg.eigvalsh(np.cov(points.T))[0]
+    return float(np.sqrt(max(smallest, 0.0)))

@@ -1,0 +1,110 @@
+"""Which point of one view is which point of the other, by their descriptors alone."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+
+from slamcli.core.geometry import apply_homography
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.core.config import MatchOptions
+    from slamcli.core.records import DescriptorNorm, Features
+
+# Without a radius of the user's, matches this many typical sigmas about a guess are tried.
+_SEARCH_SIGMAS = 100.0
+_NORMS: Final[dict[DescriptorNorm, int]] = {
+    "hamming": cv2.NORM_HAMMING,
+    "hamming2": cv2.NORM_HAMMING2,
+    "l2": cv2.NORM_L2,
+}
+
+
+def match_descriptors(
+    a: Features,
+    b: Features,
+    options: MatchOptions,
+    guess: NDArray[np.float64] | None = None,
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Pair points by brute force.
+
+    Parameters
+    ----------
+    a, b : Features
+        Of one kind.
+    options : MatchOptions
+        The filter (Lowe's ratio, or each other's best) and the largest distance.
+    guess : (3, 3) or None
+        ``a_from_b``; pairs farther from it than the options' search radius are not tried.
+
+    Returns
+    -------
+    pairs : (M, 2) int32
+        Indices into a and b, in the order of a; no point occurs twice.
+    distances : (M,) float32
+        Of the descriptors.
+    """
+    if len(a) == 0 or len(b) == 0:
+        return np.empty((0, 2), np.int32), np.empty(0, np.float32)
+    mask = None if guess is None else _near_guess(a, b, guess, options)
+    distances, neighbours = _nearest(a, b, mask)
+    best, found = distances[:, 0], neighbours[:, 0]
+    keep = found >= 0
+    if options.filter == "ratio":
+        # One candidate alone, within a guess's radius, has nothing to be mistaken for.
+        second = np.where(neighbours[:, 1] >= 0, distances[:, 1], np.inf)
+        keep &= best < options.ratio * second
+    if options.max_distance is not None:
+        keep &= best <= options.max_distance
+    if options.filter == "cross-check":
+        _, back = _nearest(b, a, None if mask is None else np.ascontiguousarray(mask.T))
+        keep &= back[found, 0] == np.arange(len(a))
+    index_a = np.flatnonzero(keep)
+    pairs = np.column_stack([index_a, found[index_a]]).astype(np.int32)
+    return _unique(pairs, best[index_a])
+
+
+def _nearest(
+    query: Features, train: Features, mask: NDArray[np.uint8] | None
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Return distances (N, 2) and indices (N, 2) of each query's two nearest; index -1: none."""
+    norm = _NORMS[query.norm]
+    kind = cv2.CV_32F if query.norm == "l2" else cv2.CV_32S
+    neighbours = min(2, len(train))
+    found, index = cv2.batchDistance(
+        query.descriptors, train.descriptors, kind, normType=norm, K=neighbours, mask=mask
+    )
+    distances = np.full((len(query), 2), np.inf, dtype=np.float32)
+    indices = np.full((len(query), 2), -1, dtype=np.int32)
+    distances[:, :neighbours], indices[:, :neighbours] = found, index
+    return distances, indices
+
+
+def _near_guess(
+    a: Features, b: Features, a_from_b: NDArray[np.float64], options: MatchOptions
+) -> NDArray[np.uint8]:
+    """Return the (Na, Nb) mask of pairs that the guess and its uncertainty allow."""
+    expected = apply_homography(a_from_b, b.points)
+    centre = apply_homography(a_from_b, np.zeros(2))
+    reach = np.linalg.norm(expected - centre, axis=1)
+    radius = options.search_radius
+    if radius is None:
+        radius = _SEARCH_SIGMAS * float(np.median(b.sigmas))
+    radius = radius + options.search_angle_radians * reach
+    away = a.points[:, None, :].astype(np.float64) - expected[None, :, :]
+    near: NDArray[np.bool_] = np.einsum("abi,abi->ab", away, away) <= radius**2
+    return near.astype(np.uint8)
+
+
+def _unique(
+    pairs: NDArray[np.int32], distances: NDArray[np.float32]
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Keep, of pairs that share a point of b, the one that is most alike."""
+    order = np.lexsort((pairs[:, 0], distances))
+    _, first = np.unique(pairs[order, 1], return_index=True)
+    kept = np.sort(order[first])
+    return pairs[kept], distances[kept]

@@ -1,0 +1,100 @@
+"""Calibration targets that print their own identity: chessboards and ArUco markers."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slamcli.core.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# What the sector-based detector leaves on a board in focus, one sigma (Duda and Frese, BMVC 2018).
+CHESSBOARD_SIGMA_PIXELS = 0.1
+
+
+def find_chessboard(
+    image: NDArray[np.uint8], columns: int, rows: int, side_metres: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the inner corners of a chessboard on the floor and where they are seen.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8, BGR
+    columns, rows : int
+        Inner corners along the board's two sides.
+    side_metres : float
+        Of one field.
+
+    Returns
+    -------
+    target : (N, 2) float64, metres
+        In the board's axes, right-handed seen from above.
+    pixels : (N, 2) float64
+
+    Raises
+    ------
+    CalibrationError
+        When the board is not found whole.
+    """
+    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
+    found, corners = cv2.findChessboardCornersSB(gray, (columns, rows), flags=flags)
+    if not found:
+        raise CalibrationError(
+            f"no chessboard with {columns}x{rows} inner corners found in the photo; count the "
+            "corners where four fields meet, and let the whole board be seen"
+        )
+    pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
+    target = side_metres * np.column_stack([column.ravel(), -row.ravel()]).astype(np.float64)
+    grid = pixels.reshape(rows, columns, 2)
+    right, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    if right[0] * down[1] - right[1] * down[0] < 0:
+        target[:, 1] *= -1.0
+    return target, pixels
+
+
+def find_marker(image: NDArray[np.uint8], dictionary: str) -> tuple[NDArray[np.float64], int]:
+    """Return the corners of an ArUco marker on the floor, and its number.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8, BGR
+    dictionary : str
+        Such as ``4x4_50`` or ``apriltag_36h11``.
+
+    Returns
+    -------
+    corners : (4, 2) float64
+        Pixels, of the black square; of the largest marker where there are several.
+    number : int
+
+    Raises
+    ------
+    CalibrationError
+        When the dictionary is unknown or no such marker is seen.
+    """
+    known = {
+        name.removeprefix("DICT_").lower(): getattr(cv2.aruco, name)
+        for name in dir(cv2.aruco)
+        if re.match(r"DICT_\w+$", name)
+    }
+    if dictionary.lower() not in known:
+        raise CalibrationError(f"no ArUco dictionary {dictionary!r}; one of {', '.join(known)}")
+    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(known[dictionary.lower()]))
+    found, numbers, _ = detector.detectMarkers(gray)
+    if not found:
+        raise CalibrationError(
+            f"no ArUco marker of dictionary {dictionary} found in the photo; leave a white margin "
+            "around it, or give its corners by --corners"
+        )
+    markers = [np.asarray(marker, dtype=np.float64).reshape(4, 2) for marker in found]
+    areas = [cv2.contourArea(marker.astype(np.float32)) for marker in markers]
+    largest = int(np.argmax(areas))
+    return markers[largest], int(np.asarray(numbers).ravel()[largest])

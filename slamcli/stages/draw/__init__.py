@@ -1,0 +1,1 @@
+"""Pictures that show why: each takes what a stage made and returns pixels."""

@@ -1,0 +1,129 @@
+"""Points of the floor that can be found again: ORB or SIFT on the bird's-eye view, in metres.
+
+ORB: Rublee et al., ICCV 2011. SIFT: Lowe, IJCV 60, 2004. The low-pass with a threshold
+(``clean_image``) and the region of interest are those of the 2015 thesis.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slamcli.core.geometry import apply_homography
+from slamcli.core.records import Features
+from slamcli.stages import camera
+from slamcli.stages.features.detectors import CLEARANCE_STEP, METHODS, Picture
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.core.config import FeatureOptions
+    from slamcli.core.records import Calibration, Keypoints, View
+
+__all__ = [
+    "METHODS",
+    "Picture",
+    "clean_image",
+    "detect",
+    "extract",
+    "prepare",
+    "seen_clearance",
+    "to_features",
+]
+
+
+def extract(
+    view: View,
+    calibration: Calibration,
+    options: FeatureOptions,
+    tilt_sigma_radians: float = 0.0,
+) -> Features:
+    """Find the points of a view and place them on the floor.
+
+    Parameters
+    ----------
+    view : View
+        Gray.
+    calibration : Calibration
+        Of the camera that saw it: how finely it samples the floor gives the points' sigmas.
+    options : FeatureOptions
+    tilt_sigma_radians : float
+        By how much the camera's pitch varies from frame to frame; it moves points along the line
+        of sight.
+    """
+    return to_features(view, detect(view, options), calibration, tilt_sigma_radians)
+
+
+def detect(view: View, options: FeatureOptions) -> Keypoints:
+    """Find the points of a gray view and describe them, still in its pixels."""
+    picture = prepare(view, options)
+    return METHODS[options.method](picture, options)
+
+
+def to_features(
+    view: View, keypoints: Keypoints, calibration: Calibration, tilt_sigma_radians: float = 0.0
+) -> Features:
+    """Place a view's keypoints on the floor, with what they may err by.
+
+    A point errs by a share of a pixel: of the pixel, of the view or of the camera's picture,
+    that is coarser where it lies, times the scale of the pyramid level that it was found on.
+    """
+    points = apply_homography(view.grid.metres_from_pixel, keypoints.pixels)
+    pixel = np.maximum(camera.floor_sampling(calibration, points), view.grid.metres_per_pixel)
+    sigmas = pixel * keypoints.sigmas[:, None]
+    if tilt_sigma_radians > 0.0:
+        sigmas[:, 0] = np.hypot(
+            sigmas[:, 0], camera.range_sigma(calibration, points, tilt_sigma_radians)
+        )
+    return Features(
+        points.astype(np.float32),
+        keypoints.descriptors,
+        keypoints.responses,
+        sigmas.astype(np.float32),
+        keypoints.norm,
+    )
+
+
+def prepare(view: View, options: FeatureOptions) -> Picture:
+    """Return what the detector is shown of a gray view: cleaned, and where points may lie."""
+    gray = view.image
+    if options.clean:
+        gray = clean_image(gray, options.clean_kernel_pixels, options.clean_threshold)
+    if not options.roi:
+        return Picture(gray, view.mask, None)
+    clearance = seen_clearance(view.mask)
+    height, width = gray.shape
+    clear = np.where(clearance > options.roi_border_pixels, np.uint8(255), np.uint8(0))
+    allowed = np.repeat(np.repeat(clear, CLEARANCE_STEP, axis=0), CLEARANCE_STEP, axis=1)
+    allowed = np.ascontiguousarray(allowed[:height, :width])
+    return Picture(gray, allowed, clearance)
+
+
+def clean_image(image: NDArray[np.uint8], kernel_pixels: int, threshold: int) -> NDArray[np.uint8]:
+    """Return a gray picture low-passed by a box, everything up to the threshold made black."""
+    smooth = cv2.blur(image, (kernel_pixels, kernel_pixels))
+    _, cleaned = cv2.threshold(smooth, threshold, 255, cv2.THRESH_TOZERO)
+    return np.asarray(cleaned, dtype=np.uint8)
+
+
+def seen_clearance(mask: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return pixels to the nearest unseen one, at one value for `CLEARANCE_STEP` squared pixels.
+
+    What lies outside the picture was not seen either. The coarse raster takes a tenth of the time,
+    and errs towards too little.
+    """
+    step = CLEARANCE_STEP
+    height, width = mask.shape
+    rows, columns = -(-height // step), -(-width // step)
+    whole = cv2.copyMakeBorder(
+        mask, 0, rows * step - height, 0, columns * step - width, cv2.BORDER_CONSTANT, value=0
+    )
+    blocks = cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)
+    seen = np.where(np.asarray(blocks) == 255, np.uint8(255), np.uint8(0))
+    framed = cv2.copyMakeBorder(seen, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    distance = cv2.distanceTransform(framed, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    # From anywhere in a block to the near side of the nearest block that is not wholly seen.
+    clear = np.maximum(np.asarray(distance[1:-1, 1:-1]) - 1.0, 0.0) * step
+    return np.asarray(clear, dtype=np.float32)

@@ -1,0 +1,106 @@
+"""Where a corner lies between the pixels: the nearest peak of the Laplacian of Gaussian.
+
+ORB's corners lie on whole pixels, and which pixel of a corner wins changes with the view. The peak
+of a Laplacian of Gaussian near it is a place in the texture itself, the same from every direction
+(Lindeberg, IJCV 30, 1998; it is what SIFT's points are), and a parabola places it to about a tenth
+of a pixel.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# Chosen by the error of rigid fits on asphalt-like noise; 1.2 to 2.4 differ by little.
+_SIGMA_PIXELS = 2.0
+# How far from the corner the peak is looked for; the ring around it is for the parabola alone.
+_SEARCH_PIXELS = 2
+_RESPONSE_RADIUS = _SEARCH_PIXELS + 1
+_PATCH_RADIUS = _RESPONSE_RADIUS + math.ceil(3 * _SIGMA_PIXELS)
+
+
+def refine(
+    image: NDArray[np.uint8], corners: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Move corners to the nearest peak of the Laplacian of Gaussian.
+
+    Parameters
+    ----------
+    image : (h, w) uint8
+    corners : (N, 2) int, column and row
+
+    Returns
+    -------
+    refined : (N, 2) float64
+        Where no peak is near, or the border is: the corner itself.
+    found : (N,) bool
+    """
+    height, width = image.shape
+    margin = np.array([_PATCH_RADIUS, _PATCH_RADIUS])
+    inside = np.all((corners >= margin) & (corners < (width, height) - margin), axis=1)
+    refined = corners.astype(np.float64)
+    found = np.zeros(len(corners), dtype=np.bool_)
+    if inside.any():
+        offsets, peaked = _peaks(_laplacian(image, corners[inside]))
+        refined[inside] += offsets
+        found[inside] = peaked
+    return refined, found
+
+
+def _laplacian(image: NDArray[np.uint8], corners: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Return (N, r, r) responses around the corners, made positive at each corner itself."""
+    span = np.arange(-_PATCH_RADIUS, _PATCH_RADIUS + 1)
+    columns, rows = corners[:, 0, None] + span, corners[:, 1, None] + span
+    patches = image[rows[:, :, None], columns[:, None, :]].astype(np.float32)
+    smooth, curved = _kernels()
+    response = curved @ patches @ smooth.T + smooth @ patches @ curved.T
+    centre = response[:, _RESPONSE_RADIUS, _RESPONSE_RADIUS]
+    signed: NDArray[np.float32] = response * np.sign(centre)[:, None, None]
+    return signed
+
+
+def _kernels() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return a Gaussian and its second derivative as (response, patch) band matrices."""
+    response = np.arange(-_RESPONSE_RADIUS, _RESPONSE_RADIUS + 1)[:, None]
+    distance = np.arange(-_PATCH_RADIUS, _PATCH_RADIUS + 1)[None, :] - response
+    variance = _SIGMA_PIXELS**2
+    smooth = np.exp(-(distance**2) / (2.0 * variance))
+    smooth /= smooth.sum(axis=1, keepdims=True)
+    curved = smooth * (distance**2 / variance - 1.0) / variance
+    # Cut-off tails leave a remainder that would answer to plain brightness.
+    curved -= curved.mean(axis=1, keepdims=True)
+    return smooth.astype(np.float32), curved.astype(np.float32)
+
+
+def _peaks(response: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the offset (N, 2) of each patch's highest inner response, by a parabola through 3x3.
+
+    The second value tells where that really is a peak, less than a pixel from its centre.
+    """
+    count, side = len(response), 2 * _SEARCH_PIXELS + 1
+    best = response[:, 1:-1, 1:-1].reshape(count, -1).argmax(axis=1)
+    row, column = best // side + 1, best % side + 1
+    index = np.arange(count)
+
+    def at(down: int, right: int) -> NDArray[np.float64]:
+        return np.asarray(response[index, row + down, column + right], dtype=np.float64)
+
+    slope_x, slope_y = (at(0, 1) - at(0, -1)) / 2.0, (at(1, 0) - at(-1, 0)) / 2.0
+    curve_x = at(0, 1) - 2.0 * at(0, 0) + at(0, -1)
+    curve_y = at(1, 0) - 2.0 * at(0, 0) + at(-1, 0)
+    twist = (at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)) / 4.0
+    determinant = curve_x * curve_y - twist * twist
+    peaked = (determinant > 0) & (curve_x < 0)
+    divisor = np.where(peaked, determinant, 1.0)
+    shift_x = (twist * slope_y - curve_y * slope_x) / divisor
+    shift_y = (twist * slope_x - curve_x * slope_y) / divisor
+    peaked &= (np.abs(shift_x) < 1.0) & (np.abs(shift_y) < 1.0)
+    offsets = np.column_stack(
+        [column - _RESPONSE_RADIUS + shift_x, row - _RESPONSE_RADIUS + shift_y]
+    )
+    return np.where(peaked[:, None], offsets, 0.0), peaked

@@ -1,0 +1,1 @@
+"""A world to test in: floors without end, a camera that does not alias, a drive with its truth."""

@@ -1,0 +1,179 @@
+"""Which of the quadrilaterals in the picture is the calibration square."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slamcli.core.errors import CalibrationError
+from slamcli.stages import camera
+from slamcli.stages.square.candidates import find_candidates, quad_area, same_quad
+from slamcli.stages.square.edges import EdgedQuad, inner_radius, refine_quad
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from slamcli.stages.camera import Lens
+
+    # Corners (4, 2) in undistorted pixels to how well they may be a square on the floor, in [0, 1].
+    Judge = Callable[[NDArray[np.float64]], float]
+
+_SEARCH_WIDTH_PIXELS = 960
+_MOST_CANDIDATES = 60
+_REACH_PIXELS = 6.0
+_LEAST_SUPPORT = 0.45
+_LEAST_SCORE = 0.05
+# A second square that scores this much of the first is worth telling of.
+_RUNNER_UP_SHARE = 0.5
+_LEAST_RADIUS_PIXELS = 4.0
+_FULL_CONTRAST_GRAY = 40.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Square:
+    """A square found in a picture.
+
+    Attributes
+    ----------
+    corners : (4, 2) float64
+        Pixels of the picture itself, clockwise from the upper left.
+    quad : EdgedQuad
+        The same, undistorted, with what is known of it; its corners are in the same order.
+    score : float
+        In [0, 1]: how well it is seen, how large it is, how plausible it is.
+    """
+
+    corners: NDArray[np.float64]
+    quad: EdgedQuad
+    score: float
+
+
+def find_squares(image: NDArray[np.uint8], lens: Lens, judge: Judge) -> tuple[Square, ...]:
+    """Return the square that is best supported, and any other that comes near it, best first.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8, BGR
+    lens : Lens
+        Its distortion, to fit straight sides; the camera matrix may be a guess where that is zero.
+    judge : callable
+        Tells how well undistorted corners may be a square on the floor.
+
+    Raises
+    ------
+    CalibrationError
+        When no quadrilateral in the picture can be the square.
+    """
+    luminance = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    # A square of another colour but like luminance shows in at least one of the channels.
+    for plane in (luminance, image[..., 2], image[..., 1], image[..., 0]):
+        found = _squares_in(np.ascontiguousarray(plane), lens, judge)
+        if found:
+            near = [square for square in found if square.score >= _RUNNER_UP_SHARE * found[0].score]
+            return tuple(near)
+        if np.array_equal(image[..., 0], image[..., 2]):
+            break
+    raise CalibrationError(
+        "no square found on the floor in the photo; give its four corners by "
+        '--corners "x,y x,y x,y x,y"'
+    )
+
+
+def refine_square(image: NDArray[np.uint8], corners: NDArray[np.float64], lens: Lens) -> Square:
+    """Return the square whose corners were given, moved to the edges of the picture nearby.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8, BGR
+    corners : (4, 2)
+        Pixels of the picture, clockwise, within about three pixels of the truth.
+
+    Raises
+    ------
+    CalibrationError
+        When a side shows no edge there.
+    """
+    luminance = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
+    undistorted = camera.undistort_points(lens, corners)
+    quad = refine_quad(luminance, undistorted, lens, 4.0)
+    if quad is None:
+        raise CalibrationError(
+            "the sides between the given corners show no edges to refine them by; "
+            "check --corners, or leave out --refine to use them as they are"
+        )
+    return Square(camera.distort_points(lens, quad.corners), quad, quad.support)
+
+
+def _squares_in(plane: NDArray[np.uint8], lens: Lens, judge: Judge) -> list[Square]:
+    height, width = plane.shape
+    shrink = max(1.0, width / _SEARCH_WIDTH_PIXELS)
+    small = plane
+    if shrink > 1.0:
+        size = (round(width / shrink), round(height / shrink))
+        small = np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    quads, supports = find_candidates(small, _MOST_CANDIDATES)
+    exact = plane.astype(np.float32)
+    found: list[Square] = []
+    for quad, support in zip(_enlarge(quads, shrink), supports, strict=True):
+        undistorted = camera.undistort_points(lens, quad)
+        if support < _LEAST_SUPPORT or inner_radius(undistorted) < _LEAST_RADIUS_PIXELS:
+            continue
+        edged = refine_quad(exact, undistorted, lens, _REACH_PIXELS * shrink)
+        if edged is None or edged.support < _LEAST_SUPPORT:
+            continue
+        corners = camera.distort_points(lens, edged.corners)
+        if np.any(corners < 0) or np.any(corners > (width - 1, height - 1)):
+            continue
+        score = _score(edged, width * height, judge)
+        if score >= _LEAST_SCORE:
+            found.append(_from_upper_left(corners, edged, score))
+    return _distinct(found)
+
+
+def _score(quad: EdgedQuad, picture_area: int, judge: Judge) -> float:
+    """Multiply what speaks for a quadrilateral: its sides, contrast, size, and the judge's word.
+
+    Size counts weakly: a square four times as large is worth a tenth more support a side.
+    """
+    share = float(quad_area(quad.corners)) / picture_area
+    size = min(1.0, (share / 0.1) ** 0.25)
+    contrast = min(1.0, abs(quad.contrast) / _FULL_CONTRAST_GRAY)
+    score: float = quad.support**2 * contrast * size * judge(quad.corners)
+    return score
+
+
+def _enlarge(quads: NDArray[np.float64], factor: float) -> NDArray[np.float64]:
+    """Map pixels of a picture shrunk by area averaging to those of the whole one."""
+    # The middle of the first small pixel lies in the middle of the first `factor` large ones.
+    enlarged: NDArray[np.float64] = quads * factor + (factor - 1.0) / 2.0
+    return enlarged
+
+
+def _from_upper_left(corners: NDArray[np.float64], quad: EdgedQuad, score: float) -> Square:
+    turn = -int(np.argmin(corners.sum(axis=1)))
+    turned = EdgedQuad(
+        corners=np.roll(quad.corners, turn, axis=0),
+        covariance=np.roll(quad.covariance, (2 * turn, 2 * turn), axis=(0, 1)),
+        support=quad.support,
+        contrast=quad.contrast,
+        bow_pixels=quad.bow_pixels,
+        residual_pixels=quad.residual_pixels,
+    )
+    return Square(np.roll(corners, turn, axis=0), turned, score)
+
+
+def _distinct(squares: list[Square]) -> list[Square]:
+    """Sort, best first, and drop those that are the same as a better one."""
+    kept: list[Square] = []
+    for square in sorted(squares, key=lambda square: -square.score):
+        others = np.array([other.corners for other in kept]).reshape(-1, 4, 2)
+        if not math.isfinite(square.score) or same_quad(square.corners, others).any():
+            continue
+        kept.append(square)
+    return kept

@@ -1,0 +1,205 @@
+"""From the camera's picture to the bird's-eye view of the floor, in one resample."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slamcli.core.errors import FrameError
+from slamcli.core.geometry import Grid, Pose2
+from slamcli.core.records import View
+from slamcli.stages import camera
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import Calibration, Frame
+
+# A view of about a megapixel carries enough points, and warps and detects in milliseconds.
+_REGISTRATION_PIXELS = 1.0e6
+_DEEPEST_LEVEL = 4
+# A picture with less contrast than its own noise shows nothing that could be matched.
+_LEAST_DEVIATION_GRAY = 1.0
+_SATURATED_GRAY = 250
+_MOST_SATURATED_SHARE = 0.98
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Resampler:
+    """Everything about one raster over one camera that does not depend on the picture.
+
+    Attributes
+    ----------
+    grid : Grid
+    sharpness : (h, w) float32
+        Of the camera's picture where each pixel is read; 0 where no floor is seen.
+    bands : tuple of Band
+        One for each level of the image pyramid that the raster needs.
+    """
+
+    grid: Grid
+    sharpness: NDArray[np.float32]
+    bands: tuple[Band, ...]
+
+    @property
+    def mask(self) -> NDArray[np.uint8]:
+        """(h, w) uint8: 255 where the calibrated camera sees floor, else 0."""
+        return np.where(self.sharpness > 0, np.uint8(255), np.uint8(0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Band:
+    """The part of a raster that is read from one pyramid level: where, from which pixels."""
+
+    level: int
+    rows: slice
+    columns: slice
+    inside: NDArray[np.bool_]
+    map_fixed: NDArray[np.int16]
+    map_fraction: NDArray[np.uint16]
+
+
+def registration_metres_per_pixel(calibration: Calibration) -> float:
+    """Return the resolution of the views that are matched: the default, coarser if that is vast."""
+    finest = camera.default_metres_per_pixel(calibration)
+    grid = camera.footprint(calibration, finest)
+    shrink = math.sqrt(grid.width * grid.height / _REGISTRATION_PIXELS)
+    return finest * max(1.0, shrink)
+
+
+def make_resampler(
+    calibration: Calibration,
+    sharpness: NDArray[np.float32],
+    grid: Grid,
+    robot_from_grid: Pose2,
+) -> Resampler:
+    """Prepare to paint a raster on the floor from pictures of one camera.
+
+    Where the raster is coarser than the picture, it is read from a smaller level of the picture's
+    pyramid, so that floor texture does not alias; a level is chosen never to blur.
+
+    Parameters
+    ----------
+    sharpness : (H, W) float32
+        From `camera.sharpness_image`, or weights of the same zeros.
+    """
+    mapping = camera.sampling_map(calibration, sharpness, grid, robot_from_grid)
+    seen = mapping.sharpness > 0
+    coarser = float(mapping.sharpness.max(initial=0.0)) * grid.metres_per_pixel
+    deepest = min(_DEEPEST_LEVEL, int(math.log2(max(coarser, 1.0))))
+    bands = []
+    for number in range(deepest + 1):
+        low, high = 2.0**number / grid.metres_per_pixel, 2.0 ** (number + 1) / grid.metres_per_pixel
+        inside = seen
+        if number > 0:
+            inside = inside & (mapping.sharpness >= low)
+        if number < deepest:
+            inside = inside & (mapping.sharpness < high)
+        if not inside.any():
+            continue
+        rows, columns = _extent(inside, axis=1), _extent(inside, axis=0)
+        # OpenCV's pyrDown keeps every other pixel, so pixel k of a level is pixel 2^level k below.
+        scale = np.float32(0.5**number)
+        fixed, fraction = cv2.convertMaps(
+            mapping.columns[rows, columns] * scale,
+            mapping.rows[rows, columns] * scale,
+            cv2.CV_16SC2,
+        )
+        bands.append(
+            Band(
+                number,
+                rows,
+                columns,
+                inside[rows, columns],
+                np.asarray(fixed, dtype=np.int16),
+                np.asarray(fraction, dtype=np.uint16),
+            )
+        )
+    return Resampler(grid, mapping.sharpness, tuple(bands))
+
+
+def make_view_resampler(calibration: Calibration, metres_per_pixel: float) -> Resampler:
+    """Prepare the camera's own bird's-eye view, in the robot frame."""
+    grid = camera.footprint(calibration, metres_per_pixel)
+    return make_resampler(calibration, camera.sharpness_image(calibration), grid, Pose2())
+
+
+def resample(image: NDArray[np.uint8], resampler: Resampler) -> NDArray[np.uint8]:
+    """Paint the raster from a picture (H, W) or (H, W, 3); black where no floor is seen."""
+    grid = resampler.grid
+    painted = np.zeros((grid.height, grid.width, *image.shape[2:]), dtype=np.uint8)
+    level_image, level = image, 0
+    for band in resampler.bands:
+        while level < band.level:
+            level_image, level = np.asarray(cv2.pyrDown(level_image), dtype=np.uint8), level + 1
+        warped = cv2.remap(
+            level_image,
+            band.map_fixed,
+            band.map_fraction,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        inside = band.inside if image.ndim == 2 else band.inside[..., None]
+        np.copyto(painted[band.rows, band.columns], np.asarray(warped, np.uint8), where=inside)
+    return painted
+
+
+def make_view(frame: Frame, resampler: Resampler, *, gray: bool) -> View:
+    """Return the frame's bird's-eye view; pixels that the frame masks out are not seen."""
+    image = to_gray(frame.image) if gray else frame.image
+    mask = resampler.mask
+    if frame.mask is not None:
+        mask = np.where(resample(frame.mask, resampler) == 255, mask, np.uint8(0))
+    return View(resampler.grid, resample(image, resampler), mask)
+
+
+def to_gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return (H, W) luminance of a gray or BGR picture."""
+    if image.ndim == 2:
+        return image
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+
+
+def to_colour(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return (H, W, 3) BGR of a gray or BGR picture."""
+    if image.ndim == 3:
+        return image
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+
+
+def check_frame(frame: Frame, calibration: Calibration) -> None:
+    """Raise FrameError for a frame that this calibration's camera cannot have taken."""
+    image = frame.image
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
+        raise FrameError("not an array of 8-bit pixels; convert it to uint8 BGR or gray")
+    if image.ndim not in {2, 3} or (image.ndim == 3 and image.shape[2] != 3):
+        raise FrameError(f"pixels of shape {image.shape}; gray (H, W) or BGR (H, W, 3) is needed")
+    size = (image.shape[1], image.shape[0])
+    if size != calibration.image_size:
+        wanted = calibration.image_size
+        raise FrameError(
+            f"{size[0]}x{size[1]} pixels, but the run's camera has {wanted[0]}x{wanted[1]}"
+        )
+
+
+def check_view(view: View) -> None:
+    """Raise FrameError when the floor part of a (gray) view shows nothing."""
+    pixels = view.image[view.mask > 0]
+    if pixels.size == 0:
+        raise FrameError("no floor in the frame: all of it is masked or out of range")
+    mean, deviation = float(pixels.mean()), float(pixels.std())
+    if deviation < _LEAST_DEVIATION_GRAY:
+        word = "black" if mean < 16 else "white" if mean > 239 else "blank"
+        raise FrameError(f"the floor is all {word} (mean gray {mean:.0f}): nothing to match")
+    saturated = float(np.mean(pixels >= _SATURATED_GRAY))
+    if saturated > _MOST_SATURATED_SHARE:
+        raise FrameError(f"overexposed: {saturated:.0%} of the floor is white; lower the exposure")
+
+
+def _extent(inside: NDArray[np.bool_], axis: int) -> slice:
+    indices = np.flatnonzero(inside.any(axis=axis))
+    return slice(int(indices[0]), int(indices[-1]) + 1)
