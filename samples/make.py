@@ -20,7 +20,7 @@ from slamcli.run.simulate import simulate
 FOLDER = Path(__file__).resolve().parent
 WHITE = (255, 255, 255)
 COURSE = SimulationOptions(
-    floor="course", wear=0.5, path="loop", length_metres=4.4, frames=40, jpeg_quality=80, seed=7
+    floor="course", wear=0.5, path="loop", length_metres=3.2, frames=40, jpeg_quality=85, seed=7
 )
 
 Picture = NDArray[np.uint8]

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
     from slamcli.core.records import Alignment, Calibration, Features
 
+# How far from a guess matches are looked for, as a share of how far the camera sees.
+_SEARCH_SHARE_OF_RANGE = 0.1
 _SAME_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
 
 
@@ -72,6 +74,7 @@ class Mapper:
         self._estimates: dict[int, PoseEstimate] = {}
         self._keyframes: list[Prepared] = []
         self._latest: Prepared | None = None
+        self._motion: Pose2 | None = None
         self._stray: Prepared | None = None
         self._trials: list[Trial] = []
         self._links: list[Link] = []
@@ -143,7 +146,7 @@ class Mapper:
         found, needed = len(prepared.features), self.options.matching.min_inliers
         if found < needed:
             return self._lose(prepared, f"{found} features; at least {needed} are needed")
-        trials = self._trials = self._compare(prepared)
+        trials = self._trials = self._compare(prepared, before)
         if any(trial.link is not None for trial in trials):
             return self._place(prepared, trials)
         if not self._keyframes:
@@ -179,9 +182,14 @@ class Mapper:
             self._solve(group, fragment)
         return self.estimates
 
-    def _compare(self, prepared: Prepared) -> list[Trial]:
-        """Try the latest keyframes, newest first: all that overlap once one has been believed."""
+    def _compare(self, prepared: Prepared, before: Prepared | None) -> list[Trial]:
+        """Try the latest keyframes, newest first: all that overlap once one has been believed.
+
+        When none is, the frame before is tried, and at last both again near to where the robot's
+        latest motion would have brought it: there descriptors compete with fewer others.
+        """
         trials: list[Trial] = []
+        least = self.options.min_overlap
         for keyframe in reversed(self._keyframes):
             believed = next((t for t in trials if t.link is not None), None)
             guess = None
@@ -189,9 +197,34 @@ class Mapper:
                 if believed.overlap >= self.options.keyframe_overlap:
                     break
                 guess = self._predict(believed, keyframe)
-                if guess is None:
+                if guess is None or self._overlap(keyframe, prepared, guess) < least:
                     continue
             trials.append(self._try(keyframe, prepared, guess))
+        if any(trial.link is not None for trial in trials):
+            return trials
+        return trials + self._try_harder(prepared, before)
+
+    def _overlap(self, keyframe: Prepared, prepared: Prepared, guess: Pose2) -> float:
+        assert keyframe.view is not None
+        assert prepared.view is not None
+        return dense.overlap(keyframe.view, prepared.view, guess)
+
+    def _try_harder(self, prepared: Prepared, before: Prepared | None) -> list[Trial]:
+        """Compare with the frame before, then with a guess; stop at the first believed fit."""
+        if before is None or self._estimates[before.index].map_from_robot is None:
+            return []
+        attempts: list[tuple[Prepared, Pose2 | None]] = []
+        if before is not self._keyframes[-1]:
+            attempts.append((before, None))
+        if self._motion is not None:
+            attempts.append((before, self._motion))
+        trials = []
+        for keyframe, guess in attempts:
+            trials.append(self._try(keyframe, prepared, guess))
+            if trials[-1].link is not None:
+                if keyframe is not self._keyframes[-1]:
+                    self._add_keyframe(keyframe)
+                break
         return trials
 
     def _predict(self, believed: Trial, keyframe: Prepared) -> Pose2 | None:
@@ -211,7 +244,11 @@ class Mapper:
         assert keyframe.view is not None
         assert prepared.features is not None
         assert prepared.view is not None
-        options = replace(self.options.matching, model="rigid")
+        options = replace(
+            self.options.matching,
+            model="rigid",
+            search_radius=_SEARCH_SHARE_OF_RANGE * self.calibration.max_range_metres,
+        )
         fit = align.align(keyframe.features, prepared.features, options, guess)
         if fit.pose is None or fit.covariance is None or fit.reason:
             return Trial(keyframe, prepared, fit, None, 0.0, f"{fit.reason} (to {keyframe.name})")
@@ -280,6 +317,12 @@ class Mapper:
             link.inliers,
             link.score,
         )
+        before = self._estimates.get(prepared.index - 1)
+        self._motion = None
+        if before is not None and before.fragment == estimate.fragment:
+            assert before.map_from_robot is not None
+            assert estimate.map_from_robot is not None
+            self._motion = before.map_from_robot.inverse() @ estimate.map_from_robot
         self._estimates[prepared.index] = estimate
         self._stray = None
         if max(trial.overlap for trial in believed) < self.options.keyframe_overlap:

@@ -41,7 +41,7 @@ PRODUCTS = (
     "camera.yaml",
 )
 # The course's own way starts here, in its board's frame, so that a lap stays around its middle.
-_COURSE_START = Pose2(-0.55, -0.62, 0.0)
+_COURSE_START = Pose2(-0.45, -0.45, 0.0)
 _SQUARE_GRAY = 232.0
 _SQUARE_YAW_RADIANS = math.radians(7.0)
 _SQUARE_MARGIN_PIXELS = 12

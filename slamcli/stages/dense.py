@@ -34,6 +34,7 @@ _HUBER_SIGMAS = 1.5
 # Neighbouring residuals are not independent: interpolation and blur tie about this many together.
 _CORRELATED_PIXELS = 16.0
 _REMAP_COLUMNS = 256
+_OVERLAP_STEP = 16
 # A refinement that runs away from the fit that it started at has found something else.
 _MOST_SHIFT_PIXELS = 12.0
 
@@ -77,6 +78,19 @@ class _Template:
     values: NDArray[np.float64]
     gradients: NDArray[np.float64]
     range_sigmas: NDArray[np.float64]
+
+
+def overlap(view_a: View, view_b: View, a_from_b: Pose2) -> float:
+    """Return about which share of view b's floor view a sees too, from every 16th pixel."""
+    rows, columns = np.nonzero(view_b.mask[::_OVERLAP_STEP, ::_OVERLAP_STEP])
+    pixels_b = _OVERLAP_STEP * np.column_stack([columns, rows])
+    points_b = apply_homography(view_b.grid.metres_from_pixel, pixels_b)
+    pixels_a = apply_homography(view_a.grid.pixel_from_metres, a_from_b.apply(points_b))
+    column, row = np.round(pixels_a).astype(np.int64).T
+    inside = (column >= 0) & (row >= 0)
+    inside &= (column < view_a.grid.width) & (row < view_a.grid.height)
+    shared = np.count_nonzero(view_a.mask[row[inside], column[inside]])
+    return shared / max(1, len(points_b))
 
 
 def agreement(view_a: View, view_b: View, a_from_b: Pose2) -> Agreement:

@@ -202,11 +202,13 @@ def _asphalt(grid: Grid, _wear: float, seed: int) -> NDArray[np.uint8]:
 
 
 def _concrete(grid: Grid, _wear: float, seed: int) -> NDArray[np.uint8]:
-    """Paint a smooth slab: faint grain, clouds, few pores."""
+    """Paint a trowelled slab: grain, clouds, pores, and the sweep of the trowel."""
     grain = smooth_noise(grid, seed + 11, 0.0008)
+    trowel = smooth_noise(grid, seed + 15, 0.003, stretch=4.0)
     clouds = smooth_noise(grid, seed + 12, 0.03) + smooth_noise(grid, seed + 13, 0.15)
-    pores = np.maximum(smooth_noise(grid, seed + 14, 0.0015) - 2.6, 0.0)
-    gray = 142 + 3.0 * grain + 4.0 * clouds - 60 * pores
+    pores = np.maximum(smooth_noise(grid, seed + 14, 0.0017) - 2.2, 0.0)
+    stains = np.maximum(smooth_noise(grid, seed + 16, 0.006) - 1.8, 0.0)
+    gray = 140 + 3.5 * grain + 4.0 * trowel + 4.0 * clouds - 70 * pores - 25 * stains
     return _tinted(gray, (0.97, 1.0, 1.02))
 
 
