@@ -61,27 +61,27 @@ def main() -> None:
 @options.max_range
 @click.option("--frame-rate", type=options.POSITIVE, help="Frames per second, for stamps.")
 @click.option("--debug", is_flag=True, help="Also draw every frame's matches, into matches/.")
+@options.mapper_options
+@options.feature_details
+@options.match_details
 @options.workers
-@options.seed
 @options.overwrite
 def stitch(
     frames: tuple[Path, ...],
     calibration: Path | None,
     output: Path | None,
     workers: int | None,
-    seed: int,
     overwrite: bool,
     **told: Any,
 ) -> None:
     """Stitch FRAMES (a folder, or image files) into one map, with poses and reasons."""
-    from slamcli.core.config import MapperOptions, MatchOptions
     from slamcli.progress import ProgressBar
     from slamcli.run.executor import default_workers
     from slamcli.run.stitch import StitchOptions
     from slamcli.run.stitch import stitch as run_stitch
 
     resolved = StitchOptions(
-        mapper=MapperOptions(matching=MatchOptions(seed=seed)),
+        mapper=options.mapper_of(told),
         metres_per_pixel=told["metres_per_pixel"],
         max_range_metres=told["max_range"],
         frame_rate=told["frame_rate"],
@@ -203,6 +203,7 @@ def match(
     model: Any,
     features: Any,
     count: int | None,
+    ratio: float | None,
     as_json: bool,
     overwrite: bool,
     **told: Any,
@@ -218,6 +219,7 @@ def match(
         features,
         count,
         model,
+        ratio,
     )
     report = run_match(first, second, calibration, output, resolved, overwrite=overwrite)
     click.echo(report.json if as_json else "\n".join(report.lines))

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
-from slamcli.core.config import FeatureOptions, MatchOptions
+from slamcli.core.config import FeatureOptions, MapperOptions, MatchOptions
 
 Options = TypeVar("Options")
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -74,9 +74,10 @@ def stacked(*decorators: Decorator[Any]) -> Decorator[Any]:
 
 
 def picked(kind: type[Options], told: Mapping[str, Any]) -> Options:
-    """Return the options of one kind from all that the command line says, by their names."""
+    """Return the options of one kind from all that the command line says; unsaid: the default."""
     names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
-    return kind(**{name: value for name, value in told.items() if name in names})
+    said = {name: value for name, value in told.items() if name in names and value is not None}
+    return kind(**said)
 
 
 _FEATURES = FeatureOptions()
@@ -202,9 +203,8 @@ match_details = stacked(
     click.option(
         "--ratio",
         type=click.FloatRange(0, 1, min_open=True),
-        default=_MATCHING.ratio,
-        show_default=True,
-        help="Largest ratio of the best to the second-best distance.",
+        help="Largest ratio of the best to the second-best distance. "
+        f"Default: {_MATCHING.ratio}, on plain pictures 0.8.",
     ),
     click.option("--max-distance", type=POSITIVE, help="Largest distance of two descriptors."),
     click.option(
@@ -236,6 +236,86 @@ match_details = stacked(
     ),
     seed,
 )
+
+
+_MAPPER = MapperOptions()
+
+mapper_options = stacked(
+    click.option(
+        "--features",
+        "method",
+        type=click.Choice(["orb", "sift"]),
+        default=_MAPPER.features.method,
+        show_default=True,
+    ),
+    click.option(
+        "--count",
+        type=click.IntRange(min=1),
+        default=_MAPPER.features.count,
+        show_default=True,
+        help="Most features a frame.",
+    ),
+    click.option(
+        "--view-metres-per-pixel",
+        type=POSITIVE,
+        help="Resolution of the views that are matched. Default: from the camera's sampling.",
+    ),
+    click.option(
+        "--recent-keyframes",
+        type=click.IntRange(min=1),
+        default=_MAPPER.recent_keyframes,
+        show_default=True,
+        help="How many keyframes back a frame is compared with.",
+    ),
+    click.option(
+        "--keyframe-overlap",
+        type=click.FloatRange(0, 1),
+        default=_MAPPER.keyframe_overlap,
+        show_default=True,
+        help="A frame that shares less floor with the latest keyframe becomes one.",
+    ),
+    click.option(
+        "--min-overlap",
+        type=click.FloatRange(0, 1),
+        default=_MAPPER.min_overlap,
+        show_default=True,
+        help="Least share of floor that a believed fit leaves in common.",
+    ),
+    click.option(
+        "--min-score",
+        type=click.FloatRange(-1, 1),
+        default=_MAPPER.min_score,
+        show_default=True,
+        help="Least correlation of the overlap's pixels for a fit to be believed.",
+    ),
+    click.option(
+        "--tilt-sigma",
+        type=NOT_NEGATIVE,
+        default=_MAPPER.tilt_sigma_degrees,
+        show_default=True,
+        help="Degrees by which the camera's pitch varies from frame to frame.",
+    ),
+    click.option(
+        "--refine-pixels/--no-refine-pixels",
+        default=_MAPPER.refine,
+        help="Refine each fit on the pixels themselves [default], or leave it to the features.",
+    ),
+)
+
+
+def mapper_of(told: Mapping[str, Any]) -> MapperOptions:
+    """Return what the flags of a command that maps ask for."""
+    return MapperOptions(
+        features=picked(FeatureOptions, told),
+        matching=picked(MatchOptions, told),
+        metres_per_pixel=told["view_metres_per_pixel"],
+        recent_keyframes=told["recent_keyframes"],
+        keyframe_overlap=told["keyframe_overlap"],
+        min_overlap=told["min_overlap"],
+        min_score=told["min_score"],
+        tilt_sigma_degrees=told["tilt_sigma"],
+        refine=told["refine_pixels"],
+    )
 
 
 class Size(click.ParamType[tuple[int, int]]):

@@ -91,7 +91,8 @@ class MatchOptions:
         Which matches are kept: those clearly better than the second best, or those that are each
         other's best.
     ratio : float
-        Lowe's: best over second-best distance must be below it.
+        Lowe's: best over second-best distance must be below it. Hundreds of points on a worn
+        floor want a milder one than thousands in a photograph.
     max_distance : float or None
         Descriptor distance above which a match is dropped (the thesis's cost filter).
     threshold : float or None
@@ -125,7 +126,7 @@ class MatchOptions:
 
     model: TransformModel = "rigid"
     filter: MatchFilter = "ratio"
-    ratio: float = 0.8
+    ratio: float = 0.9
     max_distance: float | None = None
     threshold: float | None = None
     threshold_sigmas: float = 5.0

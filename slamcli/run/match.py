@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from slamcli.run.inputs import Inputs
     from slamcli.run.pairs import Fit, Picture
 
+PLAIN_RATIO = 0.8
 DRAWING_SUFFIXES = (".png", ".jpg")
 
 
@@ -43,13 +44,15 @@ class PairOptions:
     Attributes
     ----------
     features, matching
-        Of the stages of those names, their method, count and model apart.
+        Of the stages of those names, their method, count, model and ratio apart.
     method : str
         ``auto`` tries ORB and SIFT, on the pictures as they are and enlarged.
     count : int or None
         Most features a picture; None: 500, or what each front of ``auto`` takes.
     model : str or None
         None: rigid with a calibration, else similarity, which measures the scale.
+    ratio : float or None
+        None: as `matching` says with a calibration, else the stricter one for many features.
     """
 
     features: FeatureOptions
@@ -57,6 +60,7 @@ class PairOptions:
     method: FeatureMethod | Literal["auto"] = "auto"
     count: int | None = None
     model: TransformModel | None = None
+    ratio: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +139,10 @@ def _fronts(options: PairOptions, inputs: Inputs) -> tuple[Front, ...]:
 
 
 def _resolved(options: PairOptions, inputs: Inputs) -> tuple[FeatureOptions, MatchOptions]:
-    default: TransformModel = "similarity" if inputs.calibration_path is None else "rigid"
-    return options.features, replace(options.matching, model=options.model or default)
+    plain = inputs.calibration_path is None
+    model: TransformModel = options.model or ("similarity" if plain else "rigid")
+    ratio = options.ratio or (PLAIN_RATIO if plain else options.matching.ratio)
+    return options.features, replace(options.matching, model=model, ratio=ratio)
 
 
 def _second_from_first(pictures: tuple[Picture, Picture], fit: Fit) -> NDArray[np.float64] | None:

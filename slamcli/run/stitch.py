@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from slamcli import __version__
 from slamcli.core.errors import FrameError, InputError
-from slamcli.core.geometry import path_length
+from slamcli.core.geometry import apply_homography, invert, path_length
 from slamcli.core.records import Prepared
 from slamcli.io import rasters, tables
 from slamcli.io.files import output_folder, write_image
@@ -19,7 +19,8 @@ from slamcli.mapper import Mapper, placed_fragments
 from slamcli.painter import Painter
 from slamcli.run.executor import ordered
 from slamcli.run.inputs import open_inputs
-from slamcli.stages import camera
+from slamcli.stages import camera, view
+from slamcli.stages.draw.matches import draw_matches
 from slamcli.stages.draw.trajectory import draw_trajectory
 from slamcli.stages.mosaic import Canvas
 
@@ -27,10 +28,14 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from slamcli.core.config import MapperOptions
     from slamcli.core.geometry import Pose2
     from slamcli.core.records import PoseEstimate, Tile
     from slamcli.io.frames import FrameFile
+    from slamcli.mapper import Trial
     from slamcli.run.executor import Progress
     from slamcli.run.inputs import Inputs
 
@@ -101,7 +106,7 @@ def stitch(
     inputs = open_inputs(sources, calibration_path, options.frame_rate, options.max_range_metres)
     with output_folder(output, (*PRODUCTS, DEBUG_PRODUCTS), overwrite=overwrite) as staging:
         mapper = Mapper(inputs.calibration, options.mapper)
-        estimates = _locate(mapper, inputs, options, progress)
+        estimates = _locate(mapper, inputs, options, staging, progress)
         area = _write_maps(inputs, estimates, options, staging, progress)
         write_poses(staging / "poses.csv", estimates)
         seconds = time.monotonic() - started
@@ -110,15 +115,60 @@ def stitch(
 
 
 def _locate(
-    mapper: Mapper, inputs: Inputs, options: StitchOptions, progress: Progress
+    mapper: Mapper, inputs: Inputs, options: StitchOptions, staging: Path, progress: Progress
 ) -> list[PoseEstimate]:
     """First walk: every frame to its pose or its reason."""
     total = len(inputs.files)
     work = partial(_read_and_prepare, mapper)
     for done, prepared in enumerate(ordered(work, inputs.files, options.workers), start=1):
         mapper.step(prepared)
+        if options.debug:
+            _draw_trials(mapper.trials, staging / "matches")
         progress("locating", done, total)
     return mapper.finish()
+
+
+def _draw_trials(trials: Sequence[Trial], folder: Path) -> None:
+    """Draw every comparison that placed a frame, or failed to."""
+    for trial in trials:
+        first, second, fit = trial.keyframe, trial.prepared, trial.alignment
+        picture_first, points_first, to_first = _drawable(first, fit.matches[:, 0])
+        picture_second, points_second, to_second = _drawable(second, fit.matches[:, 1])
+        if trial.link is not None:
+            a_from_b: NDArray[np.float64] | None = trial.link.a_from_b.matrix
+            verdict = f"placed, correlation {trial.link.score:.3f}"
+        else:
+            a_from_b = fit.a_from_b if fit.accepted else None
+            verdict = trial.reason
+        second_from_first = None
+        if a_from_b is not None:
+            second_from_first = to_second @ invert(a_from_b) @ invert(to_first)
+        header = [
+            f"{second.name} on {first.name}: {verdict}",
+            f"{fit.inlier_count} inliers of {len(fit.matches)} matches, "
+            f"overlap {trial.overlap:.0%}; the robot looks to the right",
+        ]
+        drawing = draw_matches(
+            picture_first,
+            picture_second,
+            points_first,
+            points_second,
+            fit.inliers,
+            second_from_first,
+            header,
+        )
+        write_image(folder / f"{second.index:04d}_to_{first.index:04d}.png", drawing)
+
+
+def _drawable(
+    prepared: Prepared, chosen: NDArray[np.int32]
+) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
+    """Return a frame's view, its chosen points in that view's pixels, and pixel_from_metres."""
+    assert prepared.view is not None
+    assert prepared.features is not None
+    pixel_from_metres = prepared.view.grid.pixel_from_metres
+    points = apply_homography(pixel_from_metres, prepared.features.points[chosen])
+    return view.to_colour(prepared.view.image), points, pixel_from_metres
 
 
 def _read_and_prepare(mapper: Mapper, file: FrameFile) -> Prepared:

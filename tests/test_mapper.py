@@ -1,0 +1,122 @@
+"""The loop, on a simulated floor whose truth is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import slamcli
+from slamcli.core.geometry import Pose2
+from slamcli.core.simulation import CameraOptions, DisturbanceOptions
+from slamcli.stages.simulate import floors, photograph
+
+CAMERA = CameraOptions(size=(400, 300), height_metres=0.2, pitch_degrees=45.0)
+
+
+@pytest.fixture(scope="module")
+def photographer() -> photograph.Photographer:
+    floor = floors.make_floor("asphalt", 0.0, 0.001, seed=3)
+    return photograph.Photographer(photograph.World(floor), photograph.make_camera(CAMERA))
+
+
+def take(photographer: photograph.Photographer, pose: Pose2, seed: int = 0) -> np.ndarray:
+    generator = np.random.default_rng(seed)
+    return photograph.take(photographer, (pose, pose), 0.0, DisturbanceOptions(), generator)
+
+
+def error_of(estimate: slamcli.PoseEstimate, truth: Pose2) -> tuple[float, float]:
+    assert estimate.map_from_robot is not None, estimate.reason
+    error = truth.inverse() @ estimate.map_from_robot
+    return error.translation_length, abs(math.degrees(error.theta))
+
+
+def test_a_drive_is_located_to_a_millimetre(photographer: photograph.Photographer) -> None:
+    truth = [Pose2(0.04 * i, 0.004 * i * i, 0.08 * i) for i in range(8)]
+    mapper = slamcli.Mapper(photographer.calibration)
+    streamed = [mapper.update(take(photographer, pose, i)) for i, pose in enumerate(truth)]
+    for estimate, pose in zip(streamed, truth, strict=True):
+        metres, degrees = error_of(estimate, pose)
+        assert metres < 0.001
+        assert degrees < 0.1
+    for estimate, pose in zip(mapper.finish(), truth, strict=True):
+        assert error_of(estimate, pose)[0] < 0.001
+        assert estimate.covariance is not None
+        assert np.all(np.linalg.eigvalsh(estimate.covariance) > 0)
+    assert all(link.score > 0.8 for link in mapper.links)
+
+
+def test_a_frame_that_cannot_be_used_is_lost_and_the_next_is_not(
+    photographer: photograph.Photographer,
+) -> None:
+    mapper = slamcli.Mapper(photographer.calibration)
+    mapper.update(take(photographer, Pose2()))
+    bad = [
+        np.zeros((300, 400, 3), np.uint8),
+        np.full((300, 400), 255, np.uint8),
+        np.zeros((10, 10), np.uint8),
+        np.zeros((300, 400, 3)),
+        np.random.default_rng(0).integers(0, 255, (300, 400, 3), dtype=np.uint8),
+        None,
+        "frame.png",
+    ]
+    for picture in bad:
+        estimate = mapper.update(picture)  # type: ignore[arg-type]
+        assert estimate.status == "lost"
+        assert estimate.map_from_robot is None
+        assert estimate.reason
+        assert "\n" not in estimate.reason
+    metres, _ = error_of(mapper.update(take(photographer, Pose2(0.05), 1)), Pose2(0.05))
+    assert metres < 0.001
+
+
+def test_the_same_picture_again_has_the_same_pose(
+    photographer: photograph.Photographer,
+) -> None:
+    mapper = slamcli.Mapper(photographer.calibration)
+    mapper.update(take(photographer, Pose2()))
+    picture = take(photographer, Pose2(0.05), 1)
+    first, again = mapper.update(picture), mapper.update(picture.copy())
+    assert again.map_from_robot == first.map_from_robot
+    assert again.status == "tracked"
+    assert "same picture as frame 1" in again.reason
+
+
+def test_a_break_starts_a_map_of_its_own_and_floor_seen_before_joins_them(
+    photographer: photograph.Photographer,
+) -> None:
+    away = [Pose2(5.0 + 0.05 * i, 2.0, 0.5) for i in range(3)]
+    mapper = slamcli.Mapper(photographer.calibration)
+    mapper.update(take(photographer, Pose2()))
+    mapper.update(take(photographer, Pose2(0.05), 1))
+    assert mapper.update(take(photographer, away[0], 2)).status == "lost"
+    joined = mapper.update(take(photographer, away[1], 3))
+    assert joined.status == "tracked"
+    assert joined.revised == (2,)
+    apart = mapper.finish()
+    assert [estimate.fragment for estimate in apart] == [0, 0, 1, 1]
+    assert error_of(apart[3], away[0].inverse() @ away[1])[0] < 0.001
+    back = mapper.update(take(photographer, Pose2(0.08, 0.01, 0.05), 4))
+    assert back.fragment == 0
+    assert error_of(back, Pose2(0.08, 0.01, 0.05))[0] < 0.001
+
+
+def test_frames_that_share_nothing_are_not_placed_by_guess(
+    photographer: photograph.Photographer,
+) -> None:
+    mapper = slamcli.Mapper(photographer.calibration)
+    for index in range(4):
+        mapper.update(take(photographer, Pose2(3.0 * index), index))
+    estimates = mapper.finish()
+    assert [estimate.status for estimate in estimates] == ["tracked", "lost", "lost", "lost"]
+
+
+def test_an_index_that_came_before_is_refused(photographer: photograph.Photographer) -> None:
+    mapper = slamcli.Mapper(photographer.calibration)
+    frame = slamcli.Frame(3, "a", None, take(photographer, Pose2()))
+    assert mapper.update(frame).status == "tracked"
+    refused = mapper.update(frame)
+    assert refused.status == "lost"
+    assert "came before" in refused.reason
+    assert len(mapper.estimates) == 1

@@ -1,0 +1,155 @@
+"""The simulated world: what it draws lies where its truth says."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from trajectories import read_poses, read_rows
+
+from slamcli.cli import main
+from slamcli.core.geometry import Grid, Pose2
+from slamcli.core.simulation import CameraOptions, DisturbanceOptions, SimulationOptions
+from slamcli.io.calibrations import load_calibration
+from slamcli.stages import camera
+from slamcli.stages.simulate import drive, floors, photograph
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SMALL = ["--size", "160x120", "--frames", "3", "--length", "0.3", "--workers", "2"]
+
+
+def simulate(folder: Path, *arguments: str) -> None:
+    result = CliRunner().invoke(main, ["simulate", str(folder), *SMALL, *arguments])
+    assert result.exit_code == 0, result.output
+
+
+def test_a_floor_is_the_same_whichever_way_it_is_read() -> None:
+    for kind in floors.FLOORS:
+        whole = floors.make_floor(kind, 0.5, 0.001, 1).region(Grid(-0.6, 0.6, 0.001, 700, 650))
+        part = floors.make_floor(kind, 0.5, 0.001, 1).region(Grid(-0.3, 0.2, 0.001, 90, 80))
+        np.testing.assert_array_equal(part, whole[400:480, 300:390])
+        other = floors.make_floor(kind, 0.5, 0.001, 2).region(Grid(-0.3, 0.2, 0.001, 90, 80))
+        if kind != "course":
+            assert not np.array_equal(part, other)
+
+
+def test_blocks_meet_without_a_seam() -> None:
+    texture = floors.make_floor("asphalt", 0.0, 0.001, 5).region(Grid(0.0, 0.0, 0.001, 1024, 512))
+    gray = texture[..., 0].astype(float)
+    steps = np.abs(np.diff(gray, axis=1)).mean(axis=0)
+    assert steps[511] < steps.mean() + 6 * steps.std()
+
+
+def test_the_course_has_its_squares_where_its_plan_says() -> None:
+    bare = floors.make_floor("course", 0.0, 0.001, 0).region(Grid(-1.3, 0.7, 0.001, 2600, 1400))
+    white = (bare[..., 1] > 128).astype(np.uint8)
+    count, _, stats, _ = cv2.connectedComponentsWithStats(cv2.erode(white, np.ones((60, 60))))
+    assert count - 1 == 5
+    np.testing.assert_allclose(stats[1:, cv2.CC_STAT_WIDTH] + 59, 304.8, atol=2)
+
+
+def test_a_photo_shows_a_decal_where_the_camera_model_says() -> None:
+    options = CameraOptions(size=(320, 240), k1=-0.2, roll_degrees=4.0)
+    calibration = photograph.make_camera(options)
+    place = Pose2(1.0, 2.0, 0.7)
+    corners = 0.07 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    centre = np.array([[0.45, 0.06]])
+    decal = photograph.Decal(place.apply(centre + corners), 250.0)
+    floor = floors.make_floor("course", 0.0, 0.001, 0)
+    world = photograph.World(floor, decals=(decal,))
+    photographer = photograph.Photographer(world, calibration)
+    quiet = DisturbanceOptions(noise_gray=0.0, vignetting=0.0)
+    image = photograph.take(photographer, (place, place), 0.0, quiet, np.random.default_rng(0))
+    gray = image[..., 0].astype(float)
+    rim = [np.linspace(corners[i - 1], corners[i], 20, endpoint=False) for i in range(4)]
+    outline, _ = camera.project_floor(calibration, centre + np.concatenate(rim))
+    moments = cv2.moments(np.clip(gray - gray.min() - 5, 0, None))
+    seen = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
+    polygon = cv2.moments(outline.astype(np.float32))
+    expected = np.array([polygon["m10"], polygon["m01"]]) / polygon["m00"]
+    np.testing.assert_allclose(seen, expected, atol=0.05)
+
+
+def test_a_box_stands_on_its_place_and_hides_the_floor_behind() -> None:
+    calibration = photograph.make_camera(CameraOptions(size=(320, 240)))
+    box = photograph.Box(Pose2(0.6, 0.0, 0.3), (0.08, 0.08, 0.1), (40.0, 40.0, 250.0))
+    floor = floors.make_floor("asphalt", 0.0, 0.001, 0)
+    photographer = photograph.Photographer(photograph.World(floor, (box,)), calibration)
+    image = photographer.expose(Pose2(), calibration, 0.0)
+    red = (image[..., 2] > 100) & (image[..., 0] < 60)
+    base = camera.project_floor(calibration, [[0.6, 0.0]])[0][0]
+    rows, columns = np.nonzero(red)
+    assert rows.max() > base[1]
+    assert rows.min() < base[1] - 15
+    assert abs(np.median(columns) - base[0]) < 8
+
+
+def test_paths_have_their_length_and_sensors_their_errors() -> None:
+    for path in drive.PATHS:
+        poses = drive.make_path(SimulationOptions(path=path, length_metres=6.0, frames=300))
+        steps = [(a.inverse() @ b) for a, b in itertools.pairwise(poses)]
+        total = sum(step.translation_length for step in steps)
+        assert total == pytest.approx(6.0, rel=0.01)
+        # A robot drives ahead; it does not slide sideways.
+        assert max(abs(step.y) for step in steps) < 0.1 * total / len(steps) + 1e-6
+    readings = drive.sense(poses, SimulationOptions().sensors, np.random.default_rng(0))
+    felt = readings.odometry[-1]
+    drift = math.hypot(felt.x - poses[-1].x, felt.y - poses[-1].y)
+    assert 0.001 < drift < 0.6
+
+
+def test_local_metres_become_degrees_as_on_the_ellipsoid() -> None:
+    # A degree of latitude at 45 degrees is 111 131.7 m, of longitude 78 846.8 m (WGS84).
+    places = drive.geodetic_from_local(np.array([[78846.8, 0.0], [0.0, 111131.7]]), (45.0, 7.0))
+    np.testing.assert_allclose(places, [[45.0, 8.0], [46.0, 7.0]], atol=2e-5)
+
+
+def test_a_simulation_is_the_same_twice_and_holds_all_it_says(tmp_path: Path) -> None:
+    simulate(tmp_path / "a", "--boxes", "3", "--rocking", "0.2", "--motion-blur", "0.5")
+    simulate(tmp_path / "b", "--boxes", "3", "--rocking", "0.2", "--motion-blur", "0.5")
+    names = sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*.*"))
+    assert {"truth.csv", "odometry.csv", "compass.csv", "gps.csv", "camera.yaml"} < {
+        str(name) for name in names
+    }
+    for name in names:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
+    truth = read_poses(tmp_path / "a" / "truth.csv")
+    assert list(truth) == ["0000.jpg", "0001.jpg", "0002.jpg"]
+    assert truth["0000.jpg"] == Pose2()
+    calibration = load_calibration(tmp_path / "a" / "camera.yaml")
+    assert calibration.height_metres == pytest.approx(0.3)
+    assert len(read_rows(tmp_path / "a" / "gps.csv")) == 3
+
+
+def test_a_path_of_poses_and_a_floor_of_a_picture(tmp_path: Path) -> None:
+    (tmp_path / "way.csv").write_text("x,y,heading\n1,1,0\n1.1,1,0.1\n,,\n1.2,1.02,0.2\n")
+    cv2.imwrite(str(tmp_path / "floor.png"), np.full((100, 100, 3), 90, np.uint8))
+    simulate(
+        tmp_path / "out",
+        *("--path", str(tmp_path / "way.csv"), "--floor", str(tmp_path / "floor.png")),
+    )
+    truth = read_poses(tmp_path / "out" / "truth.csv")
+    assert len(truth) == 3
+    assert truth["0001.jpg"].x == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--floor", "lava"], "neither asphalt"),
+        (["--path", "absent.csv"], "neither line"),
+        (["--square-side", "9"], "smaller --square-side"),
+    ],
+)
+def test_bad_wishes_are_one_line(tmp_path: Path, arguments: list[str], words: str) -> None:
+    result = CliRunner().invoke(main, ["simulate", str(tmp_path / "x"), *SMALL, *arguments])
+    assert result.exit_code == 1
+    assert words in result.output
+    assert result.output.count("\n") == 1
