@@ -74,7 +74,10 @@ def stitch(
     overwrite: bool,
     **told: Any,
 ) -> None:
-    """Stitch FRAMES (a folder, or image files) into one map, with poses and reasons."""
+    """Stitch FRAMES into one map.
+
+    FRAMES is a folder or image files. Each one gets a pose, or the reason why it has none.
+    """
     from slamcli.progress import ProgressBar
     from slamcli.run.executor import default_workers
     from slamcli.run.stitch import StitchOptions
@@ -114,7 +117,10 @@ def warp(
     workers: int | None,
     overwrite: bool,
 ) -> None:
-    """Warp FRAMES to metric bird's-eye PNGs, each with a world file; the unseen is transparent."""
+    """Warp FRAMES to metric bird's-eye pictures.
+
+    Each is a PNG, transparent where no floor was seen, with a world file.
+    """
     from slamcli.progress import ProgressBar
     from slamcli.run.executor import default_workers
     from slamcli.run.warp import warp as run_warp
@@ -151,7 +157,10 @@ def detect(
     overwrite: bool,
     **told: Any,
 ) -> None:
-    """Draw the points found in FRAMES, and what cleaning and the region of interest removed."""
+    """Draw the points found in FRAMES.
+
+    Also what cleaning and the region of interest removed, and a table of the points.
+    """
     from slamcli.core.config import FeatureOptions
     from slamcli.progress import ProgressBar
     from slamcli.run.detect import detect as run_detect
@@ -208,7 +217,10 @@ def match(
     overwrite: bool,
     **told: Any,
 ) -> None:
-    """Find the transform from picture FIRST to picture SECOND, or say why nothing fits (exit 1)."""
+    """Find the transform from FIRST to SECOND.
+
+    Or say why nothing fits (exit 1).
+    """
     from slamcli.core.config import FeatureOptions, MatchOptions
     from slamcli.run.match import PairOptions
     from slamcli.run.match import match as run_match
@@ -265,7 +277,10 @@ def calibrate(
     output: Path,
     overwrite: bool,
 ) -> None:
-    """Calibrate from PHOTOS of a square on the floor; several are compared, the best is named."""
+    """Calibrate from PHOTOS of a square.
+
+    The square lies on the floor. Several photos are compared and the best is named.
+    """
     from slamcli.run.calibrate import CalibrateOptions
     from slamcli.run.calibrate import calibrate as run_calibrate
 
@@ -299,7 +314,10 @@ def calibrate(
 @options.seed
 @options.overwrite
 def simulate(output: Path, workers: int | None, overwrite: bool, **told: Any) -> None:
-    """Simulate a drive over a floor into OUTPUT: frames, a calibration photo, truth, sensors."""
+    """Simulate a drive over a floor into OUTPUT.
+
+    Frames, a calibration photo, exact truth, odometry, compass and GPS.
+    """
     from slamcli.progress import ProgressBar
     from slamcli.run.executor import default_workers
     from slamcli.run.simulate import simulate as run_simulate
