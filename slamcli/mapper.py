@@ -19,14 +19,14 @@ from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame, Link, PoseEstimate, Prepared
-from slamcli.stages import align, camera, dense, features, posegraph, view
+from slamcli.stages import align, dense, features, posegraph, view
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from slamcli.core.records import Alignment, Calibration, Features
+    from slamcli.core.records import Alignment, Calibration
 
 # How far from a guess matches are looked for, as a share of how far the camera sees.
 _SEARCH_SHARE_OF_RANGE = 0.1
@@ -70,6 +70,7 @@ class Mapper:
         self.metres_per_pixel = self.options.metres_per_pixel or view.registration_metres_per_pixel(
             calibration
         )
+        self._tilt = math.radians(self.options.tilt_sigma_degrees)
         self._resampler = view.make_view_resampler(calibration, self.metres_per_pixel)
         self._estimates: dict[int, PoseEstimate] = {}
         self._keyframes: list[Prepared] = []
@@ -113,22 +114,13 @@ class Mapper:
             view.check_frame(frame, self.calibration)
             seen = view.make_view(frame, self._resampler, gray=True)
             view.check_view(seen)
-            found = self._with_tilt(features.extract(seen, self.calibration, self.options.features))
+            found = features.extract(seen, self.calibration, self.options.features, self._tilt)
         except FrameError as error:
             return Prepared(frame.index, frame.name, frame.stamp, None, None, str(error))
         except (cv2.error, ValueError, TypeError) as error:
             reason = f"cannot be processed: {' '.join(str(error).split())}"
             return Prepared(frame.index, frame.name, frame.stamp, None, None, reason)
         return Prepared(frame.index, frame.name, frame.stamp, seen, found)
-
-    def _with_tilt(self, found: Features) -> Features:
-        """Widen the sigmas along the line of sight by what a rocking camera adds to them."""
-        tilt = math.radians(self.options.tilt_sigma_degrees)
-        sigmas = found.sigmas.copy()
-        sigmas[:, 0] = np.hypot(
-            sigmas[:, 0], camera.range_sigma(self.calibration, found.points, tilt)
-        )
-        return replace(found, sigmas=sigmas)
 
     def step(self, prepared: Prepared) -> PoseEstimate:
         """Place one prepared frame; frames come in order, and an index that came before is refused.
@@ -260,7 +252,7 @@ class Mapper:
                 prepared.view,
                 pose,
                 self.calibration,
-                math.radians(self.options.tilt_sigma_degrees),
+                self._tilt,
             )
             if refined is not None:
                 again = dense.agreement(keyframe.view, prepared.view, refined.a_from_b)

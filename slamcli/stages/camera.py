@@ -33,6 +33,8 @@ FAR_TO_NEAR_SAMPLING_RATIO = 12.0
 _OUTLINE_POINTS_PER_SIDE = 48
 # Lens distortion is this smooth: a point in four pixels is enough to interpolate between.
 _LATTICE_PIXELS = 4
+# So much farther than the range a picture's pixels are kept until their exact place is known.
+_RANGE_MARGIN = 1.05
 _ROUND_STEPS = (1.0, 2.0, 5.0, 10.0)
 
 Lens = Calibration | Intrinsics
@@ -266,7 +268,8 @@ def default_metres_per_pixel(calibration: Calibration) -> float:
 def sharpness_image(calibration: Calibration) -> NDArray[np.float32]:
     """Return (H, W): how many pixels a metre of floor spans, at each pixel of the camera's picture.
 
-    The geometric mean of both directions; 0 where the pixel shows no floor within range.
+    The geometric mean of both directions; 0 where the pixel shows no floor within range, or just
+    beyond it: the exact limit is for those who know each pixel's place.
     """
     width, height = calibration.image_size
     columns, rows = np.meshgrid(
@@ -276,7 +279,8 @@ def sharpness_image(calibration: Calibration) -> NDArray[np.float32]:
         columns, rows = undistorted_coordinates(calibration, columns, rows)
     inverse = calibration.robot_from_image.astype(np.float32)
     x, y, w = (row[0] * columns + row[1] * rows + row[2] for row in inverse)
-    seen = (w > 0) & (x * x + y * y <= (np.float32(calibration.max_range_metres) * w) ** 2)
+    reach = np.float32(_RANGE_MARGIN * calibration.max_range_metres)
+    seen = (w > 0) & (x * x + y * y <= (reach * w) ** 2)
     # A pixel covers |det H| / w^3 of floor, the Jacobian determinant of the plane map x -> Hx / w.
     determinant = abs(float(np.linalg.det(calibration.robot_from_image)))
     sharpness = np.zeros((height, width), dtype=np.float32)
@@ -333,10 +337,27 @@ def sampling_map(
             calibration.camera_matrix, calibration.distortion, *arguments, cv2.CV_32FC1
         )
     sharp = np.asarray(cv2.remap(sharpness, columns, rows, cv2.INTER_LINEAR), dtype=np.float32)
+    sharp[_out_of_range(calibration, robot_from_pixel, grid)] = 0.0
     if np.any(calibration.distortion):
         # Outside the undistorted picture the lens polynomial may fold back into it.
         sharp[_outside_undistorted(calibration, homography, grid)] = 0.0
     return SamplingMap(np.asarray(columns, np.float32), np.asarray(rows, np.float32), sharp)
+
+
+def _out_of_range(
+    calibration: Calibration, robot_from_pixel: NDArray[np.float64], grid: Grid
+) -> NDArray[np.bool_]:
+    """Return (h, w): whether a raster's pixel lies beyond the range, by its place on the floor."""
+    column = np.arange(grid.width, dtype=np.float32)
+    row = np.arange(grid.height, dtype=np.float32)
+    matrix = robot_from_pixel.astype(np.float32)
+    # The squared distance of R p + t is |p|^2 s^2 + 2 t . R p + |t|^2: a sum of row and column.
+    scale, offset = grid.metres_per_pixel**2, matrix[:2, 2]
+    along = scale * column**2 + 2 * float(offset @ matrix[:2, 0]) * column
+    down = scale * row**2 + 2 * float(offset @ matrix[:2, 1]) * row
+    limit = np.float32(calibration.max_range_metres**2 - float(offset @ offset))
+    beyond: NDArray[np.bool_] = along[None, :] > (limit - down)[:, None]
+    return beyond
 
 
 def _outside_undistorted(

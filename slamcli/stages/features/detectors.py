@@ -27,7 +27,8 @@ CLEARANCE_STEP = 4
 _ORB_SURPLUS = 12
 # SIFT describes what it finds at once, which costs; its points crowd less.
 _SIFT_SURPLUS = 4
-_POINTS_PER_CELL = 4
+# Enough that a cell of sharp paint gives more than one of dull floor, which matches worse.
+_POINTS_PER_CELL = 16
 # One sigma in pixels of the level a point was found on, by the residuals of true matches on
 # asphalt-like noise.
 _REFINED_SIGMA_PIXELS = 0.25
