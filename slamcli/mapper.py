@@ -9,50 +9,28 @@ ties it to an older one. `finish` weighs all links against one another.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from slamcli.comparison import compare
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame, Link, PoseEstimate, Prepared
-from slamcli.stages import align, dense, features, posegraph, view
+from slamcli.stages import dense, features, posegraph, view
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from slamcli.core.records import Alignment, Calibration
+    from slamcli.comparison import Trial
+    from slamcli.core.records import Calibration
 
-# How far from a guess matches are looked for, as a share of how far the camera sees.
-_SEARCH_SHARE_OF_RANGE = 0.1
 _SAME_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Trial:
-    """One comparison of a frame with a keyframe: what fits, or why nothing does.
-
-    Attributes
-    ----------
-    keyframe, prepared : Prepared
-    alignment : Alignment
-        What the features said.
-    link : Link or None
-    overlap : float
-    reason : str
-    """
-
-    keyframe: Prepared
-    prepared: Prepared
-    alignment: Alignment
-    link: Link | None
-    overlap: float = 0.0
-    reason: str = ""
 
 
 class Mapper:
@@ -219,6 +197,9 @@ class Mapper:
                 break
         return trials
 
+    def _try(self, keyframe: Prepared, prepared: Prepared, guess: Pose2 | None = None) -> Trial:
+        return compare(keyframe, prepared, guess, self.calibration, self.options)
+
     def _predict(self, believed: Trial, keyframe: Prepared) -> Pose2 | None:
         """Return ``keyframe_from_now`` by way of a believed trial; None for another fragment."""
         assert believed.link is not None
@@ -229,63 +210,6 @@ class Mapper:
         assert other.map_from_robot is not None
         other_from_known = other.map_from_robot.inverse() @ known.map_from_robot
         return other_from_known @ believed.link.a_from_b
-
-    def _try(self, keyframe: Prepared, prepared: Prepared, guess: Pose2 | None = None) -> Trial:
-        """Align a frame to a keyframe and check the fit by the pixels before it is believed."""
-        assert keyframe.features is not None
-        assert keyframe.view is not None
-        assert prepared.features is not None
-        assert prepared.view is not None
-        options = replace(
-            self.options.matching,
-            model="rigid",
-            search_radius=_SEARCH_SHARE_OF_RANGE * self.calibration.max_range_metres,
-        )
-        fit = align.align(keyframe.features, prepared.features, options, guess)
-        if fit.pose is None or fit.covariance is None or fit.reason:
-            return Trial(keyframe, prepared, fit, None, 0.0, f"{fit.reason} (to {keyframe.name})")
-        pose, covariance = fit.pose, fit.covariance
-        agreed = dense.agreement(keyframe.view, prepared.view, pose)
-        if self.options.refine:
-            refined = dense.refine(
-                keyframe.view,
-                prepared.view,
-                pose,
-                self.calibration,
-                self._tilt,
-            )
-            if refined is not None:
-                again = dense.agreement(keyframe.view, prepared.view, refined.a_from_b)
-                if again.correlation > agreed.correlation:
-                    pose, covariance, agreed = refined.a_from_b, refined.covariance, again
-        reason = self._doubt(agreed)
-        if reason:
-            reason = f"{reason} (to {keyframe.name})"
-            return Trial(keyframe, prepared, fit, None, agreed.overlap, reason)
-        link = Link(
-            keyframe.index,
-            prepared.index,
-            pose,
-            covariance,
-            fit.inlier_count,
-            agreed.correlation,
-            "step",
-        )
-        return Trial(keyframe, prepared, fit, link, agreed.overlap)
-
-    def _doubt(self, agreed: dense.Agreement) -> str:
-        """Return why the pixels contradict a fit; empty when they do not."""
-        if agreed.overlap < self.options.min_overlap:
-            return (
-                f"the fit leaves an overlap of {agreed.overlap:.0%}; "
-                f"at least {self.options.min_overlap:.0%} is needed"
-            )
-        if not agreed.correlation >= self.options.min_score:
-            return (
-                f"the pixels disagree with the fit: correlation {agreed.correlation:.2f}; "
-                f"at least {self.options.min_score:.2f} is needed"
-            )
-        return ""
 
     def _place(self, prepared: Prepared, trials: list[Trial]) -> PoseEstimate:
         """Place a frame by its believed links; a keyframe if it shows enough new floor."""

@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from slamcli.comparison import Trial
     from slamcli.core.config import MapperOptions
     from slamcli.core.geometry import Pose2
     from slamcli.core.records import PoseEstimate, Tile
     from slamcli.io.frames import FrameFile
-    from slamcli.mapper import Trial
     from slamcli.run.executor import Progress
     from slamcli.run.inputs import Inputs
 
