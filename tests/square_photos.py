@@ -1,13 +1,14 @@
 """Photographs of squares on floors whose every number is known.
 
-The floor is a function of metres, averaged over each pixel, over 6 x 6 places of it where paint
-begins or ends, so that an edge lies where it is said to lie to a hundredth of a pixel.
+The floor is a function of metres, averaged over each pixel, over a hundred places of it where
+paint begins or ends, so that an edge lies where it is said to lie to a hundredth of a pixel.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -36,6 +37,8 @@ class Photo:
     floor_level: float = 60.0
     texture: float = 0.0
     square_texture: float = 0.0
+    # A print that fills the square, 0 and 255, its upper edge away from a camera at yaw 0.
+    sheet: np.ndarray | None = None
     disk: bool = False
     pattern: bool = False
     # Each line: start and end in units of the square's half side, in its own axes, width in metres.
@@ -89,19 +92,22 @@ def render(photo: Photo) -> np.ndarray:
     width, height = photo.size
     columns, rows = np.meshgrid(np.arange(width), np.arange(height))
     pixels = np.column_stack([columns.ravel(), rows.ravel()])
-    paint, gray = _average(photo, pixels, 2)
+    paint, gray = _average(photo, pixels, 4)
     # Where paint changes within a pixel or beside it, more samples place the edge exactly.
     whole = paint.reshape(height, width).astype(np.float32)
     box = np.ones((3, 3), np.uint8)
     edge = (cv2.dilate(whole, box) != cv2.erode(whole, box)).ravel()
-    _, gray[edge] = _average(photo, pixels[edge], 6)
+    _, gray[edge] = _average(photo, pixels[edge], 100)
     return _camera(photo, gray.reshape(height, width, 3))
 
 
 def _average(photo: Photo, pixels: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return (N,) which paint, and (N, 3) BGR, averaged over n x n samples of (N, 2) pixels."""
-    steps = (np.arange(n) + 0.5) / n - 0.5
-    offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(1, -1, 2)
+    """Return (N,) which paint, and (N, 3) BGR, averaged over n samples of each of (N, 2) pixels.
+
+    The samples follow the plastic number, so that they lie evenly along rows and columns too.
+    """
+    plastic = 1.32471795724474602596
+    offsets = (np.arange(n)[:, None] / [plastic, plastic**2] + 0.5) % 1.0 - 0.5
     samples = (pixels[:, None] + offsets).reshape(-1, 2)
     if any(photo.distortion):
         samples = camera.undistort_points(photo.intrinsics, samples)
@@ -115,19 +121,18 @@ def _average(photo: Photo, pixels: np.ndarray, n: int) -> tuple[np.ndarray, np.n
     paint, gray = _floor(photo, x, y)
     paint[beyond], gray[beyond] = 4, 120.0
     colour = np.where((paint == 3)[:, None], np.float32([10, 10, 150]), gray[:, None])
-    shape = (len(pixels), n * n)
+    shape = (len(pixels), n)
     return paint.reshape(shape).mean(axis=1), colour.reshape(*shape, 3).mean(axis=1)
 
 
 def _floor(photo: Photo, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return at floor points which paint (0 none, 1 square, 2 pattern, 3 red) and gray level."""
-    grain = _grain(photo.seed)
-    gray = photo.floor_level + photo.texture * _texture(grain, x, y)
+    gray = photo.floor_level + photo.texture * _texture(x, y, photo.seed)
     axes = rotation(-photo.yaw)
     half = photo.side / 2
     u = (axes[0, 0] * (x - photo.centre[0]) + axes[0, 1] * (y - photo.centre[1])) / half
     v = (axes[1, 0] * (x - photo.centre[0]) + axes[1, 1] * (y - photo.centre[1])) / half
-    level = photo.square_level + photo.square_texture * _texture(grain, y, x)
+    level = photo.square_level + photo.square_texture * _texture(y, x, photo.seed)
     painted = (np.abs(u) <= 1) & (np.abs(v) <= 1)
     for u0, v0, u1, v1, line_width in photo.lines:
         length = math.hypot(u1 - u0, v1 - v0)
@@ -143,6 +148,14 @@ def _floor(photo: Photo, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.n
         painted |= (np.abs(x - box_x) <= length / 2) & (np.abs(y - box_y) <= width / 2)
     gray = np.where(painted, level, gray).astype(np.float32)
     paint = painted.astype(np.int8)
+    if photo.sheet is not None:
+        inside = (np.abs(u) < 1) & (np.abs(v) < 1)
+        side = len(photo.sheet)
+        row = ((1 - u[inside]) / 2 * side).astype(int)
+        column = ((1 - v[inside]) / 2 * side).astype(int)
+        dark = photo.sheet[row, column] == 0
+        gray[inside] = np.where(dark, photo.floor_level, gray[inside])
+        paint[inside] = np.where(dark, 2, 1)
     if photo.pattern:
         cell = (np.floor((u + 1) * 4).astype(int) + np.floor((v + 1) * 4).astype(int)) % 2
         marked = (np.abs(u) <= 0.5) & (np.abs(v) <= 0.5) & (cell == 0)
@@ -152,23 +165,26 @@ def _floor(photo: Photo, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.n
     return paint, gray
 
 
-def _grain(seed: int) -> np.ndarray:
+@cache
+def _grain() -> np.ndarray:
     """Return tileable noise of several scales, zero mean and unit deviation."""
-    generator = np.random.default_rng([seed, 1])
-    total = np.zeros((1024, 1024))
+    side = 512
+    generator = np.random.default_rng(1)
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(side), np.fft.fftfreq(side)))
+    total = np.zeros((side, side))
     for sigma in (1.0, 4.0, 24.0):
-        noise = generator.normal(size=total.shape)
-        smooth = cv2.GaussianBlur(np.tile(noise, (2, 2)), (0, 0), sigma)[512:1536, 512:1536]
+        spectrum = np.fft.fft2(generator.normal(size=(side, side)))
+        smooth = np.fft.ifft2(spectrum * np.exp(-2 * (np.pi * sigma * frequency) ** 2)).real
         total += smooth / smooth.std()
-    return (total / total.std()).astype(np.float32)
+    return ((total - total.mean()) / total.std()).astype(np.float32)
 
 
-def _texture(grain: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Sample the grain at half a millimetre; far away, where it would alias, it fades by itself."""
-    scale = 2000.0
-    column = (np.nan_to_num(x) * scale).astype(np.int64) % 1024
-    row = (np.nan_to_num(y) * scale).astype(np.int64) % 1024
-    return grain[row, column]
+def _texture(x: np.ndarray, y: np.ndarray, seed: int) -> np.ndarray:
+    """Sample the grain at half a millimetre; each seed has its own piece of floor."""
+    grain, scale = _grain(), np.float32(2000.0)
+    column = (x * scale).astype(np.int64) + 7919 * seed
+    row = (y * scale).astype(np.int64) + 104729 * seed
+    return grain[row % len(grain), column % len(grain)]
 
 
 def _camera(photo: Photo, image: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_args
 
 import numpy as np
@@ -16,8 +17,6 @@ from slamcli.core.records import Calibration, DistortionModel, Intrinsics
 from slamcli.io.files import read_text, write_text
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import ArrayLike, NDArray
 
 FORMAT_VERSION = 1
@@ -50,7 +49,7 @@ class Origin:
     corners: NDArray[np.float64]
 
 
-def load_calibration(path: Path) -> Calibration:
+def load_calibration(path: str | Path) -> Calibration:
     """Return the calibration in a YAML file as `save_calibration` writes it.
 
     ``ground_plane.robot_from_image`` may be left out; where it stands it must agree with the camera
@@ -61,6 +60,7 @@ def load_calibration(path: Path) -> Calibration:
     CalibrationError
         One line that names the file, the key and what is wrong with it.
     """
+    path = Path(path)
     document = _read_document(path, "calibration")
     intrinsics = _parse_intrinsics(document, path)
     ground = document.get("ground_plane")
@@ -103,7 +103,7 @@ def load_calibration(path: Path) -> Calibration:
     )
 
 
-def load_intrinsics(path: Path) -> Intrinsics:
+def load_intrinsics(path: str | Path) -> Intrinsics:
     """Return the camera of a ROS camera_info YAML file (camera_calibration writes one).
 
     Raises
@@ -111,6 +111,7 @@ def load_intrinsics(path: Path) -> Intrinsics:
     CalibrationError
         One line that names the file, the key and what is wrong with it.
     """
+    path = Path(path)
     return _parse_intrinsics(_read_document(path, "camera_info"), path)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -10,13 +10,23 @@ import numpy as np
 
 from slamcli.core.config import FeatureOptions
 from slamcli.core.errors import CalibrationError, FrameError, InputError, SlamcliError
+from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.core.records import Frame, Intrinsics
 from slamcli.io.calibrations import Origin, load_intrinsics, save_calibration
 from slamcli.io.files import refuse_existing, write_image
 from slamcli.io.frames import read_image
+from slamcli.run.mountings import (
+    Result,
+    Target,
+    choose_best,
+    compare,
+    corner_text,
+    describe,
+    floor_areas,
+)
 from slamcli.stages import board, camera, features, square, view
 from slamcli.stages import calibrate as solving
-from slamcli.stages.draw.calibration import birdseye_metres_per_pixel, draw_calibration
+from slamcli.stages.draw.calibration import birdseye_grid, draw_calibration
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,17 +34,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from slamcli.core.records import Calibration
-
 # How far a given corner may be off, one sigma, where nothing measured it.
 _GIVEN_CORNER_SIGMA_PIXELS = 0.5
 # What an unknown lens and an uneven floor move corners by, as a share of the picture's width.
-_TOLERANCE_SHARE = 0.003
+_TOLERANCE_SHARE = 0.004
 _BOW_WORTH_TELLING_SHARE = 0.002
-# Floor that a pixel covers more of than this shows no scuff, seam or painted edge sharply.
-RESOLVED_METRES_PER_PIXEL = 0.002
-_COMPARED_FEATURES = 5000
-_EQUAL_SHARE = 0.05
+_COMPARED_FEATURES = 20_000
 _YAML_SUFFIXES = {".yaml", ".yml"}
 
 
@@ -67,46 +72,6 @@ class CalibrateOptions:
     marker: str | None = None
     intrinsics_path: Path | None = None
     max_range_metres: float | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Target:
-    """What was found in a photo: its points, its outline in pixels, what to say of it."""
-
-    name: str
-    points: solving.FloorPoints
-    outline: NDArray[np.float64]
-    notes: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Result:
-    """One photo's calibration, and what it is worth as a place to mount the camera.
-
-    Attributes
-    ----------
-    photo : Path
-    image : (H, W, 3) uint8
-    target : Target
-    mounting : Mounting
-    calibration : Calibration
-    area, resolved_area : float
-        Square metres of floor kept, and of those the part that a pixel of at most
-        `RESOLVED_METRES_PER_PIXEL` sees.
-    near_metres : float
-    feature_count : int
-        ORB points in the kept part of the bird's-eye view.
-    """
-
-    photo: Path
-    image: NDArray[np.uint8]
-    target: Target
-    mounting: solving.Mounting
-    calibration: Calibration
-    area: float
-    resolved_area: float
-    near_metres: float
-    feature_count: int
 
 
 def calibrate(
@@ -145,7 +110,7 @@ def calibrate(
         raise CalibrationError(f"no photo yields a calibration; {failures[0]}")
     if len(photos) == 1:
         _write(path, results[0], options)
-        return [*_describe(results[0]), f"wrote {path} and {path.with_suffix('.png').name}"]
+        return [*describe(results[0]), f"wrote {path} and {path.with_suffix('.png').name}"]
     best, reason = choose_best(results)
     for place, result in zip(own, _aligned(photos, results), strict=True):
         if result is not None:
@@ -155,47 +120,9 @@ def calibrate(
         *compare(results),
         *[f"not calibrated: {failure}" for failure in failures],
         f"best: {best.photo.name}, {reason}",
-        *_describe(best),
+        *describe(best),
         f"wrote {path} (the best), and each photo's own beside it",
     ]
-
-
-def compare(results: Sequence[Result]) -> list[str]:
-    """Return a table, one line a photo, of what each mounting sees of the floor."""
-    header = (
-        f"{'photo':<24}{'pitch':>8}{'height':>9}{'area':>10}{'resolved':>10}{'near':>8}{'far':>8}"
-        f"{'mm/px near':>13}{'1 m':>13}{'far':>13}{'ORB':>7}"
-    )
-    lines = [header]
-    for result in results:
-        calibration = result.calibration
-        cells = [_cell(sampling) for _, sampling in _sampling(result)]
-        lines.append(
-            f"{result.photo.name[:23]:<24}{np.degrees(calibration.pitch_radians):>7.1f}°"
-            f"{calibration.height_metres:>7.3f} m{result.area:>7.3f} m²{result.resolved_area:>7.3f} m²"
-            f"{result.near_metres:>6.2f} m{calibration.max_range_metres:>6.2f} m"
-            + "".join(f"{cell:>13}" for cell in cells)
-            + f"{result.feature_count:>7}"
-        )
-    return lines
-
-
-def choose_best(results: Sequence[Result]) -> tuple[Result, str]:
-    """Return the mounting that resolves most floor, and why; near-equal ones by their features.
-
-    A steep camera sees little floor, a flat one sees much of it smeared. What counts is the area
-    that is both kept and seen at `RESOLVED_METRES_PER_PIXEL` or finer along the line of sight.
-    """
-    most = max(result.resolved_area for result in results)
-    limit = f"{1000 * RESOLVED_METRES_PER_PIXEL:g} mm a pixel or finer"
-    rivals = [result for result in results if result.resolved_area >= (1 - _EQUAL_SHARE) * most]
-    best = max(rivals, key=lambda result: result.feature_count)
-    if len(rivals) > 1:
-        return best, (
-            f"which resolves {best.resolved_area:.3f} m² of floor at {limit}, like "
-            f"{len(rivals) - 1} more, and shows most ORB points there ({best.feature_count})"
-        )
-    return best, f"which resolves most floor: {best.resolved_area:.3f} m² at {limit}"
 
 
 def _check(options: CalibrateOptions, photos: Sequence[Path]) -> None:
@@ -230,7 +157,7 @@ def _calibrate(photo: Path, options: CalibrateOptions, intrinsics: Intrinsics | 
         mounting = solving.solve_mounting_with_intrinsics(target.points, intrinsics)
     calibration = solving.make_calibration(mounting, size, intrinsics, options.max_range_metres)
     floor = camera.seen_floor(calibration)
-    area, resolved = _areas(calibration)
+    area, resolved = floor_areas(calibration)
     resampler = view.make_view_resampler(
         calibration, view.registration_metres_per_pixel(calibration)
     )
@@ -281,7 +208,7 @@ def _find_target(
         found, *others = square.find_squares(image, lens, judge)
         notes += [
             f"another square may be meant ({other.score / found.score:.0%} as good): "
-            f'--corners "{_corner_text(other.corners)}"'
+            f'--corners "{corner_text(other.corners)}"'
             for other in others[:1]
         ]
     notes += _bow_note(found, intrinsics)
@@ -303,77 +230,25 @@ def _bow_note(found: square.Square, intrinsics: Intrinsics | None) -> list[str]:
     if bow < max(0.5, _BOW_WORTH_TELLING_SHARE * longest):
         return []
     cure = "give --intrinsics" if intrinsics is None else "check --intrinsics"
-    return [
-        f"the square's sides bow by up to {bow:.1f} px: the lens distorts or the floor is uneven; {cure}"
-    ]
-
-
-def _areas(calibration: Calibration) -> tuple[float, float]:
-    """Return square metres of floor kept, and the part that is resolved."""
-    hull = camera.footprint_hull(calibration)
-    x, y = hull.T
-    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
-    floor = camera.seen_floor(calibration)
-    sampling = camera.floor_sampling(calibration, floor)
-    # The points lie evenly in the picture, so each stands for floor like its pixel's.
-    weight = sampling.prod(axis=1)
-    resolved = sampling[:, 0] <= RESOLVED_METRES_PER_PIXEL
-    return area, area * float(weight[resolved].sum() / weight.sum())
-
-
-def _sampling(result: Result) -> list[tuple[str, NDArray[np.float64] | None]]:
-    """Return metres per pixel (along, across) at the near edge, at 1 m and at the far limit."""
-    calibration = result.calibration
-    far = calibration.max_range_metres
-    places = [
-        (f"near edge ({result.near_metres:.2f} m)", result.near_metres),
-        ("1 m" if far >= 1.0 else "1 m (not used)", 1.0),
-        (f"far limit ({far:.2f} m)", far),
-    ]
-    sampled: list[tuple[str, NDArray[np.float64] | None]] = []
-    for name, distance in places:
-        ahead = np.array([[distance, 0.0]])
-        depth = float(ahead[0] @ calibration.image_from_robot[2, :2]) + float(
-            calibration.image_from_robot[2, 2]
-        )
-        sampling = camera.floor_sampling(calibration, ahead)[0] if depth > 0 else None
-        sampled.append((name, sampling))
-    return sampled
-
-
-def _describe(result: Result) -> list[str]:
-    mounting, calibration, target = result.mounting, result.calibration, result.target
-    sigma = np.degrees(mounting.sigmas[2:])
-    focal = f"focal length {mounting.focal_pixels:.1f} ± {mounting.sigmas[0]:.1f} px, "
-    sampling = "; ".join(f"{_cell(value)} at the {name}" for name, value in _sampling(result))
-    misfit = []
-    if mounting.misfit_sigmas > solving.MISFIT_SIGMAS and mounting.residual_pixels > 0.3:
-        misfit = [
-            f"note: the corners fit a square on a flat floor only to "
-            f"{mounting.residual_pixels:.1f} px ({mounting.misfit_sigmas:.0f} sigmas)"
-        ]
-    return [
-        f"{result.photo.name}: {target.name}, corners {_corner_text(target.outline)}",
-        f"{focal if mounting.sigmas[0] > 0 else ''}height {1000 * calibration.height_metres:.1f} ± "
-        f"{1000 * mounting.sigmas[1]:.1f} mm, pitch {np.degrees(calibration.pitch_radians):.2f} ± "
-        f"{sigma[0]:.2f}°, roll {np.degrees(calibration.roll_radians):.2f} ± {sigma[1]:.2f}°",
-        f"one pixel covers, mm of floor along x across the line of sight: {sampling}",
-        f"floor kept: {result.area:.3f} m², {result.near_metres:.2f} to "
-        f"{calibration.max_range_metres:.2f} m; ORB points in it: {result.feature_count}",
-        *[f"note: {note}" for note in target.notes],
-        *misfit,
-    ]
+    what = "the lens distorts or the floor is uneven"
+    return [f"the square's sides bow by up to {bow:.1f} px: {what}; {cure}"]
 
 
 def _write(path: Path, result: Result, options: CalibrateOptions) -> None:
     calibration, target = result.calibration, result.target
-    resampler = view.make_view_resampler(calibration, birdseye_metres_per_pixel(calibration))
+    corners = apply_homography(
+        calibration.robot_from_image, camera.undistort_points(calibration, target.outline)
+    )
+    grid = birdseye_grid(calibration, corners)
+    # Past the far limit too, as far as the picture shows it: the square may lie there.
+    reach = float(np.hypot(*grid.corners.T).max())
+    wide = replace(calibration, max_range_metres=max(reach, calibration.max_range_metres))
     frame = Frame(0, result.photo.name, None, result.image)
+    resampler = view.make_resampler(wide, camera.sharpness_image(wide), grid, Pose2())
     birdseye = view.make_view(frame, resampler, gray=False)
-    caption = [
-        line.replace("±", "+-").replace("°", " deg").replace("²", "2") for line in _describe(result)
-    ]
-    picture = draw_calibration(result.image, target.outline, calibration, birdseye, caption)
+    picture = draw_calibration(
+        result.image, target.outline, calibration, birdseye, describe(result)
+    )
     origin = Origin(result.photo.name, target.name, options.side_metres, target.outline)
     save_calibration(path, calibration, origin)
     write_image(path.with_suffix(".png"), picture)
@@ -382,11 +257,3 @@ def _write(path: Path, result: Result, options: CalibrateOptions) -> None:
 def _aligned(photos: Sequence[Path], results: Sequence[Result]) -> list[Result | None]:
     by_photo = {result.photo: result for result in results}
     return [by_photo.get(photo) for photo in photos]
-
-
-def _cell(sampling: NDArray[np.float64] | None) -> str:
-    return "-" if sampling is None else f"{1000 * sampling[0]:.2f} x {1000 * sampling[1]:.2f}"
-
-
-def _corner_text(corners: NDArray[np.float64]) -> str:
-    return " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)

@@ -13,8 +13,9 @@ from slamcli.core.errors import CalibrationError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# What the sector-based detector leaves on a board in focus, one sigma (Duda and Frese, BMVC 2018).
+# What refinement leaves on a board in focus, one sigma; the fit scales it where it leaves more.
 CHESSBOARD_SIGMA_PIXELS = 0.1
+_REFINED_TO_PIXELS = 1e-3
 
 
 def find_chessboard(
@@ -49,7 +50,9 @@ def find_chessboard(
             f"no chessboard with {columns}x{rows} inner corners found in the photo; count the "
             "corners where four fields meet, and let the whole board be seen"
         )
-    pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+    pixels = _refine_crossings(
+        np.asarray(gray, np.uint8), np.asarray(corners, np.float32).reshape(rows, columns, 2)
+    )
     column, row = np.meshgrid(np.arange(columns), np.arange(rows))
     target = side_metres * np.column_stack([column.ravel(), -row.ravel()]).astype(np.float64)
     grid = pixels.reshape(rows, columns, 2)
@@ -57,6 +60,20 @@ def find_chessboard(
     if right[0] * down[1] - right[1] * down[0] < 0:
         target[:, 1] *= -1.0
     return target, pixels
+
+
+def _refine_crossings(gray: NDArray[np.uint8], grid: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Move (rows, columns, 2) crossings to where all gradients around point past them.
+
+    The detector (Duda and Frese, BMVC 2018) leaves about half a pixel on the flat fields of a board
+    seen from a slant; Foerstner's condition in a window of a third of a field does not.
+    """
+    steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1)]
+    reach = max(2, int(min(steps) / 3))
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, _REFINED_TO_PIXELS)
+    start = np.ascontiguousarray(grid.reshape(-1, 1, 2), dtype=np.float32)
+    refined = cv2.cornerSubPix(gray, start, (reach, reach), (-1, -1), criteria)
+    return np.asarray(refined, dtype=np.float64).reshape(-1, 2)
 
 
 def find_marker(image: NDArray[np.uint8], dictionary: str) -> tuple[NDArray[np.float64], int]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from slamcli.core.geometry import apply_homography
+from slamcli.core.geometry import Grid, apply_homography
 from slamcli.stages import camera
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from slamcli.core.geometry import Grid
     from slamcli.core.records import Calibration, View
 
 PANEL_HEIGHT_PIXELS = 760
@@ -30,15 +29,26 @@ _SQUARE = (60, 60, 235)
 _HORIZON = (230, 150, 30)
 _LIMIT = (40, 190, 240)
 _GRID = (150, 120, 60)
+_HAZE = (190.0, 175.0, 175.0)
+_UNSEEN_GRAY = 235
 _SUBPIXEL_BITS = 4
 
 
-def birdseye_metres_per_pixel(calibration: Calibration) -> float:
-    """Return the resolution at which the kept floor fills a panel of the check picture."""
-    low, high = (pick(camera.footprint_hull(calibration), axis=0) for pick in (np.min, np.max))
+def birdseye_grid(calibration: Calibration, corners: NDArray[np.float64]) -> Grid:
+    """Return the raster, robot frame, that shows the kept floor and the target in one panel.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    corners : (N, 2) float64, metres
+        Of the target.
+    """
+    points = np.vstack([camera.footprint_hull(calibration), corners])
+    margin = 0.03 * float(np.ptp(points, axis=0).max())
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
     ahead, sideways = high - low
     inner = PANEL_HEIGHT_PIXELS - _AXIS_PIXELS
-    return float(max(ahead / inner, sideways / (1.6 * inner)))
+    return Grid.covering([low, high], float(max(ahead / inner, sideways / (1.6 * inner))))
 
 
 def draw_calibration(
@@ -57,7 +67,7 @@ def draw_calibration(
         Pixels of the photo: the corners of the target, in order.
     calibration : Calibration
     birdseye : View
-        BGR, in the robot frame, at `birdseye_metres_per_pixel`; its mask is the floor kept.
+        BGR, on `birdseye_grid`; what lies past the far limit is shaded here.
     caption : lines of text below
     """
     left = _draw_photo(photo, outline, calibration)
@@ -88,21 +98,20 @@ def _draw_photo(
     factor = min(PANEL_HEIGHT_PIXELS / height, _MOST_PHOTO_WIDTH_PIXELS / width)
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
     size = (round(width * factor), round(height * factor))
-    canvas = np.asarray(cv2.resize(photo, size, interpolation=method), dtype=np.uint8).copy()
+    canvas = np.asarray(cv2.resize(photo, size, interpolation=method), dtype=np.uint8)
     kept = _kept_pixels(calibration, size)
-    haze = np.array([190.0, 175.0, 175.0])
-    canvas[~kept] = (0.45 * canvas[~kept] + 0.55 * haze).astype(np.uint8)
+    canvas = _hazed(canvas, ~kept)
     edges, _ = cv2.findContours(kept.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(canvas, edges, -1, _LIMIT, 2, cv2.LINE_AA)
     horizon = _horizon(calibration)
     if len(horizon):
         _polyline(canvas, horizon * factor, _HORIZON, closed=False)
         column, row = horizon[len(horizon) // 8] * factor
-        _write(canvas, "horizon", (round(column), max(14, round(row) - 8)), _HORIZON)
+        _label(canvas, "horizon", (round(column), max(24, round(row) - 12)))
     _polyline(canvas, outline * factor, _SQUARE, closed=True)
     for corner in outline * factor:
         _ring(canvas, corner)
-    _write(canvas, "kept", _label_place(kept), _LIMIT)
+    _label(canvas, "kept", _label_place(kept))
     return canvas
 
 
@@ -111,7 +120,11 @@ def _draw_floor(
 ) -> NDArray[np.uint8]:
     """Turn the view so that the robot looks up the page, and lay the metric grid over it."""
     grid = birdseye.grid
-    shown = np.where(birdseye.mask[..., None] > 0, birdseye.image, np.uint8(235))
+    lattice = np.meshgrid(np.arange(grid.width), np.arange(grid.height))
+    places = apply_homography(grid.metres_from_pixel, np.dstack(lattice))
+    kept = np.hypot(places[..., 0], places[..., 1]) <= calibration.max_range_metres
+    shown = _hazed(birdseye.image, ~kept)
+    shown[birdseye.mask == 0] = _UNSEEN_GRAY
     floor = np.ascontiguousarray(np.rot90(shown))
     canvas = np.full(
         (floor.shape[0] + _AXIS_PIXELS, floor.shape[1] + _AXIS_PIXELS, 3), _BACKGROUND, np.uint8
@@ -135,6 +148,12 @@ def _draw_floor(
     text = f"x ahead (up) and y left, in metres; a line every {step:g} m"
     _write(canvas, text, (_AXIS_PIXELS, floor.shape[0] + 50))
     return canvas
+
+
+def _hazed(image: NDArray[np.uint8], where: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    hazed = image.copy()
+    hazed[where] = (0.45 * image[where] + 0.55 * np.array(_HAZE)).astype(np.uint8)
+    return hazed
 
 
 def _kept_pixels(calibration: Calibration, size: tuple[int, int]) -> NDArray[np.bool_]:
@@ -211,13 +230,14 @@ def _ring(canvas: NDArray[np.uint8], place: NDArray[np.float64]) -> None:
     cv2.circle(canvas, (column, row), radius, _SQUARE, 2, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def _write(
-    canvas: NDArray[np.uint8],
-    text: str,
-    place: tuple[int, int],
-    colour: tuple[int, int, int] = _INK,
-) -> None:
-    """Write on a light halo, readable on any floor."""
-    font = cv2.FONT_HERSHEY_SIMPLEX
-    cv2.putText(canvas, text, place, font, 0.55, _BACKGROUND, 4, cv2.LINE_AA)
-    cv2.putText(canvas, text, place, font, 0.55, colour, 1, cv2.LINE_AA)
+def _label(canvas: NDArray[np.uint8], text: str, place: tuple[int, int]) -> None:
+    """Write on a light tag, readable on any floor."""
+    (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)
+    column, row = place
+    corners = (column - 4, row - height - 4), (column + width + 4, row + below + 2)
+    cv2.rectangle(canvas, *corners, _BACKGROUND, -1)
+    _write(canvas, text, place)
+
+
+def _write(canvas: NDArray[np.uint8], text: str, place: tuple[int, int]) -> None:
+    cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, _INK, 1, cv2.LINE_AA)

@@ -7,6 +7,7 @@ outline, leaves the four that count among the rest.
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -25,10 +26,14 @@ _THRESHOLD_LEVELS = 14
 _OPENINGS_PIXELS = (0, 7, 15)
 _TOLERANCES = (0.02, 0.04, 0.08)
 _MOST_PIECES = 10
-_MOST_VERTICES = 60
+_MOST_VERTICES = 40
+_GLANCES_PER_SIDE = 6
 _SAMPLES_PER_SIDE = 24
+_LEAST_SUPPORT = 0.35
 # Two quadrilaterals are one when no corner differs by more than this share of their size.
 _SAME_SHARE = 0.06
+_SAME_AREA_SHARE = 0.03
+_SAME_BOX_PIXELS = 3
 
 
 def find_candidates(
@@ -52,11 +57,12 @@ def find_candidates(
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), 1.2), dtype=np.uint8)
     height, width = image.shape
     least_area = max(_LEAST_AREA_PIXELS, _LEAST_AREA_SHARE * width * height)
+    outlines: dict[tuple[int, ...], NDArray[np.int32]] = {}
+    for binary in _binaries(smooth):
+        for outline in _outlines(binary, least_area):
+            outlines.setdefault(_rough_shape(outline), outline)
     found = [
-        quads
-        for binary in _binaries(smooth)
-        for outline in _outlines(binary, least_area)
-        for quads in _quads_of_outline(outline, least_area)
+        quads for outline in outlines.values() for quads in _quads_of_outline(outline, least_area)
     ]
     if not found:
         return np.empty((0, 4, 2)), np.empty(0)
@@ -65,11 +71,15 @@ def find_candidates(
     quads = quads[inside]
     _, first = np.unique(np.rint(quads / 2.0).reshape(-1, 8), axis=0, return_index=True)
     quads = quads[np.sort(first)]
-    supports = edge_support(smooth, quads)
+    # A glance at each, then a closer look at those that may do: most are nonsense.
+    quads = quads[edge_support(smooth, quads, _GLANCES_PER_SIDE) >= _LEAST_SUPPORT]
+    supports = edge_support(smooth, quads, _SAMPLES_PER_SIDE)
     return _keep_distinct(quads, supports, most)
 
 
-def edge_support(smooth: NDArray[np.uint8], quads: NDArray[np.float64]) -> NDArray[np.float64]:
+def edge_support(
+    smooth: NDArray[np.uint8], quads: NDArray[np.float64], samples: int
+) -> NDArray[np.float64]:
     """Return (N,) how well a step of one sign, light or dark inside, runs along all four sides.
 
     Each side's support is the share of its samples that show the step; the weakest side and the
@@ -81,7 +91,7 @@ def edge_support(smooth: NDArray[np.uint8], quads: NDArray[np.float64]) -> NDArr
     along = ends - quads
     length = np.linalg.norm(along, axis=2)
     outward = np.stack([along[..., 1], -along[..., 0]], axis=-1) / length[..., None]
-    steps = np.linspace(0.06, 0.94, _SAMPLES_PER_SIDE)
+    steps = np.linspace(0.06, 0.94, samples)
     points = quads[:, :, None] + along[:, :, None] * steps[None, None, :, None]
     # Far enough from the edge that neither blur nor a loosely placed candidate hides the step.
     size = np.sqrt(quad_area(quads))
@@ -143,6 +153,14 @@ def _outlines(binary: NDArray[np.uint8], least_area: float) -> list[NDArray[np.i
     ]
 
 
+def _rough_shape(outline: NDArray[np.int32]) -> tuple[int, ...]:
+    """Return a key that outlines share which give the same candidates: neighbouring thresholds."""
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    log_area = round(float(np.log(cv2.contourArea(outline))) / _SAME_AREA_SHARE)
+    log_length = round(float(np.log(len(outline))) / _SAME_AREA_SHARE)
+    return (*(np.concatenate([low, high]) // _SAME_BOX_PIXELS).tolist(), log_area, log_length)
+
+
 def _quads_of_outline(
     outline: NDArray[np.int32], least_area: float
 ) -> Iterator[NDArray[np.float64]]:
@@ -198,11 +216,15 @@ def _close_pieces(lines: NDArray[np.float64]) -> NDArray[np.float64]:
     """Intersect every four lines, in their order around the outline; keep the convex results."""
     if len(lines) < 4:
         return np.empty((0, 4, 2))
-    choices = np.array(list(combinations(range(len(lines)), 4)))
-    chosen = lines[choices]
+    chosen = lines[_fours(len(lines))]
     quads = intersect(np.roll(chosen, 1, axis=1), chosen)
     quads = np.concatenate([quads, quads[:, ::-1]])
     return quads[is_convex(quads)]
+
+
+@cache
+def _fours(count: int) -> NDArray[np.intp]:
+    return np.array(list(combinations(range(count), 4)))
 
 
 def line_through(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -247,7 +269,7 @@ def _keep_distinct(
     """Keep the best of each group of near-equal quadrilaterals, large before small at a tie."""
     ranking = supports * quad_area(quads) ** 0.1
     order = np.argsort(-ranking, kind="stable")
-    order = order[supports[order] >= 0.35]
+    order = order[supports[order] >= _LEAST_SUPPORT]
     kept: list[int] = []
     while len(order) and len(kept) < most:
         best, order = order[0], order[1:]

@@ -18,6 +18,7 @@ from scipy.ndimage import map_coordinates, uniform_filter1d
 
 from slamcli.stages import camera
 from slamcli.stages.square.candidates import intersect, is_convex, line_through, quad_area
+from slamcli.stages.square.lines import Side, fit_side, fit_side_robustly, ransac_weights
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,14 +32,7 @@ _COARSE_BOX_PIXELS = 2.0
 _FINE_ROUNDS = 3
 # Beyond the transition, so many pixels on either side tell the two levels.
 _LEVEL_PIXELS = 3.0
-_TUKEY = 4.685
-# What rendering, demosaicking and gamma leave as a common shift of a whole side, one sigma.
-_SYSTEMATIC_PIXELS = 0.02
-_MOST_CORRELATED_PROFILES = 30
 _LEAST_INLIER_SHARE = 0.4
-# Variance of x^2's coefficient over N points spread evenly on [-1, 1], times N / variance.
-_BOW_VARIANCE_FACTOR = 11.25
-_RANSAC_DRAWS = 80
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,28 +74,6 @@ class _Profiles:
     usable: NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Side:
-    """A fitted side: a point and unit direction, and the (2, 2) covariance of shift and slope.
-
-    Its bow is the sagitta of a parabola over `half_length` to either side of the centre, positive
-    inwards, shrunk towards zero by how far chance may have made it.
-    """
-
-    centre: NDArray[np.float64]
-    direction: NDArray[np.float64]
-    half_length: float
-    covariance: NDArray[np.float64]
-    support: float
-    contrast: float
-    bow_pixels: float
-    residual_pixels: float
-
-    @property
-    def line(self) -> NDArray[np.float64]:
-        return line_through(self.centre, self.centre + self.direction)
-
-
 def refine_quad(
     image: NDArray[np.float32], corners: NDArray[np.float64], lens: Lens, reach_pixels: float
 ) -> EdgedQuad | None:
@@ -132,7 +104,7 @@ def refine_quad(
                 side = _coarse_side(image, quad, index, lens, window, polarity)
             else:
                 side = _fine_side(image, quad, index, lens, window, polarity)
-            if side is None:
+            if side is None or side.support < _LEAST_INLIER_SHARE:
                 return None
             sides.append(side)
         lines = np.array([side.line for side in sides])
@@ -146,7 +118,7 @@ def refine_quad(
     return _assemble(_follow_bow(quad, sides) if bent else quad, sides)
 
 
-def _follow_bow(quad: NDArray[np.float64], sides: list[_Side]) -> NDArray[np.float64]:
+def _follow_bow(quad: NDArray[np.float64], sides: list[Side]) -> NDArray[np.float64]:
     """Move the corners from where the sides' lines meet to where their parabolas do."""
     moved = quad.copy()
     for corner in range(4):
@@ -232,7 +204,7 @@ def _coarse_side(
     lens: Lens,
     reach_pixels: float,
     polarity: float,
-) -> _Side | None:
+) -> Side | None:
     """Take each profile's strongest step of the right sign; RANSAC tells the line among them."""
     half = min(reach_pixels, 0.45 * inner_radius(quad)) + _COARSE_BOX_PIXELS
     profiles = _read_profiles(image, quad, index, lens, half)
@@ -251,21 +223,10 @@ def _coarse_side(
         return None
     edge = profiles.origins + profiles.normals * offsets[:, None]
     points = camera.undistort_points(lens, edge)[good]
-    weights = _ransac_weights(points)
-    return _fit_side(points, weights, len(profiles.usable), polarity * typical)
-
-
-def _ransac_weights(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (N,) 1 for the points of the line through two of them that has most, else 0."""
-    generator = np.random.default_rng(len(points))
-    first = generator.integers(len(points), size=_RANSAC_DRAWS)
-    second = (first + generator.integers(1, len(points), size=_RANSAC_DRAWS)) % len(points)
-    lines = line_through(points[first], points[second])
-    distance = np.abs(points @ lines[:, :2].T + lines[:, 2])
-    # Half way between counting and least squares: a truncated quadratic (MSAC).
-    cost = np.minimum(distance**2, 1.0).sum(axis=0)
-    weights: NDArray[np.float64] = (distance[:, int(cost.argmin())] < 1.5).astype(np.float64)
-    return weights
+    weights = ransac_weights(points)
+    return fit_side(
+        points, weights, len(profiles.usable), polarity * typical, float(image.shape[1])
+    )
 
 
 def _fine_side(
@@ -275,7 +236,7 @@ def _fine_side(
     lens: Lens,
     window: float,
     polarity: float,
-) -> _Side | None:
+) -> Side | None:
     """Read the edge of each profile off its integral and fit the line with Tukey's weights."""
     profiles = _read_profiles(image, quad, index, lens, window + _LEVEL_PIXELS)
     if profiles is None:
@@ -299,13 +260,9 @@ def _fine_side(
         return None
     edge = (profiles.origins[good] + profiles.normals[good] * position[:, None])[near]
     points = camera.undistort_points(lens, edge)
-    weights = np.ones(len(points))
-    for _ in range(6):
-        side = _fit_side(points, weights, int(profiles.usable.sum()), polarity * typical)
-        distance = points @ side.line[:2] + side.line[2]
-        scale = max(1.4826 * float(np.median(np.abs(distance))), 0.03)
-        weights = np.clip(1.0 - (distance / (_TUKEY * scale)) ** 2, 0.0, None) ** 2
-    return side
+    return fit_side_robustly(
+        points, int(profiles.usable.sum()), polarity * typical, float(image.shape[1])
+    )
 
 
 def _locate(share: NDArray[np.float64], offsets: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -328,67 +285,6 @@ def _trimmed_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
     cut = len(values) // 8
     mean: NDArray[np.float64] = np.sort(values, axis=0)[cut : len(values) - cut].mean(axis=0)
     return mean
-
-
-def _fit_side(
-    points: NDArray[np.float64], weights: NDArray[np.float64], total: int, contrast: float
-) -> _Side:
-    """Fit one line by weighted total least squares, with the covariance of its place and slope."""
-    mass = float(weights.sum())
-    centre = weights @ points / mass
-    centred = points - centre
-    scatter = (centred * weights[:, None]).T @ centred
-    _, axes = np.linalg.eigh(scatter)
-    direction = axes[:, 1] if axes[:, 1] @ (points[-1] - points[0]) > 0 else -axes[:, 1]
-    along = centred @ direction
-    across = centred @ np.array([direction[1], -direction[0]])
-    variance = float(weights @ across**2) / mass
-    moment = float(weights @ along**2)
-    span = math.sqrt(max(moment / mass, 1e-12))
-    correlated = _correlated_neighbours(across, weights)
-    shift = variance * correlated / mass + _SYSTEMATIC_PIXELS**2
-    slope = variance * correlated / moment + (_SYSTEMATIC_PIXELS / span / 2) ** 2
-    half_length = math.sqrt(3.0) * span
-    bow, bow_sigma = _measure_bow(along / half_length, across, weights)
-    # Shrunk towards straight as far as chance may have bent it (James and Stein's positive part).
-    bow *= max(0.0, 1.0 - (bow_sigma / bow) ** 2) if bow else 0.0
-    return _Side(
-        centre=centre,
-        direction=direction,
-        half_length=half_length,
-        covariance=np.diag([shift, slope]),
-        support=float((weights > 0.2).sum()) / total,
-        contrast=contrast,
-        bow_pixels=bow,
-        residual_pixels=math.sqrt(variance),
-    )
-
-
-def _measure_bow(
-    places: NDArray[np.float64], across: NDArray[np.float64], weights: NDArray[np.float64]
-) -> tuple[float, float]:
-    """Return the sagitta, pixels, of a parabola over `places` in [-1, 1], and its sigma."""
-    fit = np.polynomial.polynomial.polyfit(places, across, 2, w=np.sqrt(weights))
-    left = across - np.polynomial.polynomial.polyval(places, fit)
-    mass = float(weights.sum())
-    variance = float(weights @ left**2) / mass * _correlated_neighbours(left, weights)
-    return float(fit[2]), math.sqrt(_BOW_VARIANCE_FACTOR * variance / mass)
-
-
-def _correlated_neighbours(residuals: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
-    """Return how many neighbouring profiles err as one: shared pixels, and grain of the floor.
-
-    The integrated autocorrelation 1 + 2 sum rho_k, cut at its first lag without correlation.
-    """
-    weighted = residuals * weights
-    power = float(weighted @ weighted)
-    total = 1.0
-    for lag in range(1, min(_MOST_CORRELATED_PROFILES, len(residuals) // 3)):
-        correlation = float(weighted[lag:] @ weighted[:-lag]) / max(power, 1e-12)
-        if correlation <= 0.0:
-            break
-        total += 2.0 * correlation
-    return total
 
 
 def _blur_window(
@@ -414,10 +310,8 @@ def _blur_window(
     return float(np.clip(1.0 + max(widths, default=1.0), smallest, largest))
 
 
-def _assemble(quad: NDArray[np.float64], sides: list[_Side]) -> EdgedQuad | None:
+def _assemble(quad: NDArray[np.float64], sides: list[Side]) -> EdgedQuad:
     supports = np.array([side.support for side in sides])
-    if supports.min() < _LEAST_INLIER_SHARE:
-        return None
     # Corner k is where sides k - 1 and k meet: n . corner = place, to first order, for each.
     jacobian = np.zeros((8, 8))
     for corner in range(4):

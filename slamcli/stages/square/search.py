@@ -25,14 +25,16 @@ if TYPE_CHECKING:
     Judge = Callable[[NDArray[np.float64]], float]
 
 _SEARCH_WIDTH_PIXELS = 960
-_MOST_CANDIDATES = 60
+_MOST_CANDIDATES = 40
 _REACH_PIXELS = 6.0
 _LEAST_SUPPORT = 0.45
-_LEAST_SCORE = 0.05
+_LEAST_SCORE = 0.03
 # A second square that scores this much of the first is worth telling of.
 _RUNNER_UP_SHARE = 0.5
 _LEAST_RADIUS_PIXELS = 4.0
 _FULL_CONTRAST_GRAY = 40.0
+_FULL_SHARE = 0.1
+_COLOURED_GRAY_LEVELS = 25.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,14 +73,15 @@ def find_squares(image: NDArray[np.uint8], lens: Lens, judge: Judge) -> tuple[Sq
         When no quadrilateral in the picture can be the square.
     """
     luminance = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-    # A square of another colour but like luminance shows in at least one of the channels.
-    for plane in (luminance, image[..., 2], image[..., 1], image[..., 0]):
+    planes = [luminance]
+    if _is_coloured(image):
+        # A square of another colour but like luminance shows in at least one of the channels.
+        planes += [image[..., 2], image[..., 1], image[..., 0]]
+    for plane in planes:
         found = _squares_in(np.ascontiguousarray(plane), lens, judge)
         if found:
             near = [square for square in found if square.score >= _RUNNER_UP_SHARE * found[0].score]
             return tuple(near)
-        if np.array_equal(image[..., 0], image[..., 2]):
-            break
     raise CalibrationError(
         "no square found on the floor in the photo; give its four corners by "
         '--corners "x,y x,y x,y x,y"'
@@ -136,13 +139,19 @@ def _squares_in(plane: NDArray[np.uint8], lens: Lens, judge: Judge) -> list[Squa
     return _distinct(found)
 
 
+def _is_coloured(image: NDArray[np.uint8]) -> bool:
+    """Tell whether some part of the picture, beyond its noise, is not gray."""
+    small = cv2.resize(image, (64, 48), interpolation=cv2.INTER_AREA).astype(np.float64)
+    return float(np.ptp(small, axis=2).max()) > _COLOURED_GRAY_LEVELS
+
+
 def _score(quad: EdgedQuad, picture_area: int, judge: Judge) -> float:
     """Multiply what speaks for a quadrilateral: its sides, contrast, size, and the judge's word.
 
-    Size counts weakly: a square four times as large is worth a tenth more support a side.
+    Size counts, as the larger of two squares alike tells more about the camera.
     """
     share = float(quad_area(quad.corners)) / picture_area
-    size = min(1.0, (share / 0.1) ** 0.25)
+    size = min(1.0, (share / _FULL_SHARE) ** 0.4)
     contrast = min(1.0, abs(quad.contrast) / _FULL_CONTRAST_GRAY)
     score: float = quad.support**2 * contrast * size * judge(quad.corners)
     return score

@@ -1,0 +1,27 @@
+"""From points of known place on the floor to the camera above it.
+
+The camera is a pinhole with square pixels; without intrinsics its principal point is the picture's
+middle and its focal length is solved for. `closed_form` starts, `mounting` refines.
+"""
+
+from slamcli.stages.calibrate.closed_form import sort_corners, square_target, squareness
+from slamcli.stages.calibrate.mounting import (
+    MISFIT_SIGMAS,
+    FloorPoints,
+    Mounting,
+    make_calibration,
+    solve_mounting,
+    solve_mounting_with_intrinsics,
+)
+
+__all__ = [
+    "MISFIT_SIGMAS",
+    "FloorPoints",
+    "Mounting",
+    "make_calibration",
+    "solve_mounting",
+    "solve_mounting_with_intrinsics",
+    "sort_corners",
+    "square_target",
+    "squareness",
+]

@@ -1,0 +1,251 @@
+"""The camera that explains the points best: Levenberg-Marquardt, with a sigma for each number.
+
+The pose follows from the homography's columns (Zhang, A flexible new technique for camera
+calibration, PAMI 2000, 3.1); least squares on the reprojection of the points, weighted by their
+covariance, refines it together with the focal length where that is not known.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from slamcli.core.errors import CalibrationError
+from slamcli.core.geometry import Pose2, apply_homography, invert
+from slamcli.core.records import Calibration, Intrinsics
+from slamcli.stages import camera
+from slamcli.stages.calibrate.closed_form import (
+    fit_homography,
+    floor_axes,
+    focal_from_homography,
+    tilt,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# Beyond this the height and the pitch are guesses too.
+_MOST_FOCAL_SIGMA_SHARE = 0.25
+# Nearer to straight down, the direction ahead and the roll are noise.
+_STEEPEST_PITCH_RADIANS = math.radians(89.9)
+_MOST_LOG_HEIGHT = 20.0
+# A square that fits no better than this many sigmas is told of.
+MISFIT_SIGMAS = 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FloorPoints:
+    """Points of a flat target on the floor, and where they are seen.
+
+    Attributes
+    ----------
+    target : (N, 2) float64, metres
+        In the target's own axes, x to the right and y away or any other way about.
+    pixels : (N, 2) float64
+        Undistorted.
+    covariance : (2N, 2N) float64, pixels squared
+        Of pixels (x0, y0, x1, ...).
+    """
+
+    target: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mounting:
+    """The camera that explains the points best.
+
+    Attributes
+    ----------
+    focal_pixels : float
+        The geometric mean of both axes when intrinsics were given.
+    height_metres, pitch_radians, roll_radians : float
+    sigmas : (4,) float64
+        Of focal, height, pitch, roll in the units above; focal 0 when it was given.
+    robot_from_target : Pose2
+        Where the target lies on the floor.
+    residual_pixels : float
+        Root mean square of the reprojection.
+    misfit_sigmas : float
+        How unlikely the residual is, as the root of chi squared per degree of freedom.
+    """
+
+    focal_pixels: float
+    height_metres: float
+    pitch_radians: float
+    roll_radians: float
+    sigmas: NDArray[np.float64]
+    robot_from_target: Pose2
+    residual_pixels: float
+    misfit_sigmas: float
+
+
+def solve_mounting(points: FloorPoints, image_size: tuple[int, int]) -> Mounting:
+    """Solve for focal length, height, pitch and roll of a camera without known intrinsics.
+
+    Raises
+    ------
+    CalibrationError
+        When the points do not tell the focal length, or no camera above the floor sees them so.
+    """
+    width = float(image_size[0])
+    centre = camera.image_centre(image_size)
+    centring = np.array([[1.0, 0.0, -centre[0]], [0.0, 1.0, -centre[1]], [0.0, 0.0, 1.0]])
+    homography = centring @ fit_homography(points.target, points.pixels)
+    closed_form = focal_from_homography(homography, width)
+    search = width * np.geomspace(0.5, 2.5, 4)
+    starts = [float(focal) for focal in search] if closed_form is None else [closed_form]
+    fits = []
+    for focal in starts:
+        matrix = invert(centring) @ np.diag([focal, focal, 1.0])
+        fits.append(_refine(points, matrix, focal_free=True))
+    mounting = min(fits, key=lambda fit: fit.misfit_sigmas)
+    share = float(mounting.sigmas[0]) / mounting.focal_pixels
+    if not share < _MOST_FOCAL_SIGMA_SHARE:
+        raise CalibrationError(
+            f"this view of the square leaves the focal length open (±{share:.0%}); tilt the camera "
+            "less steeply, bring the square nearer, or give --intrinsics camera_info.yaml"
+        )
+    return mounting
+
+
+def solve_mounting_with_intrinsics(points: FloorPoints, intrinsics: Intrinsics) -> Mounting:
+    """Solve for height, pitch and roll of a camera whose intrinsics are known.
+
+    Raises
+    ------
+    CalibrationError
+        When no camera above the floor sees the points so.
+    """
+    return _refine(points, intrinsics.camera_matrix, focal_free=False)
+
+
+def make_calibration(
+    mounting: Mounting,
+    image_size: tuple[int, int],
+    intrinsics: Intrinsics | None,
+    max_range_metres: float | None,
+) -> Calibration:
+    """Return the record; the far limit is chosen by the sampling unless it is given.
+
+    Raises
+    ------
+    CalibrationError
+        When nothing of the floor is within the far limit.
+    """
+    if intrinsics is None:
+        column, row = camera.image_centre(image_size)
+        focal = mounting.focal_pixels
+        matrix = np.array([[focal, 0.0, column], [0.0, focal, row], [0.0, 0.0, 1.0]])
+        intrinsics = Intrinsics(matrix, np.zeros(5), "plumb_bob", image_size)
+    matrix = intrinsics.camera_matrix
+    image_from_robot = camera.image_from_robot_homography(
+        matrix, mounting.height_metres, mounting.pitch_radians, mounting.roll_radians
+    )
+    calibration = Calibration(
+        camera_matrix=matrix,
+        distortion=intrinsics.distortion,
+        distortion_model=intrinsics.distortion_model,
+        image_size=image_size,
+        robot_from_image=invert(image_from_robot),
+        height_metres=mounting.height_metres,
+        pitch_radians=mounting.pitch_radians,
+        roll_radians=mounting.roll_radians,
+        max_range_metres=(
+            camera.choose_max_range(matrix, image_from_robot, image_size)
+            if max_range_metres is None
+            else max_range_metres
+        ),
+        focal_sigma_pixels=float(mounting.sigmas[0]),
+        height_sigma_metres=float(mounting.sigmas[1]),
+        pitch_sigma_radians=float(mounting.sigmas[2]),
+        roll_sigma_radians=float(mounting.sigmas[3]),
+    )
+    camera.seen_floor(calibration)
+    return calibration
+
+
+def _refine(
+    points: FloorPoints, camera_matrix: NDArray[np.float64], *, focal_free: bool
+) -> Mounting:
+    """Run Levenberg-Marquardt on (log f,) log height, pitch, roll, x, y, yaw."""
+    parameters = _start(points, camera_matrix)
+    if not focal_free:
+        parameters = parameters[1:]
+    whiten = invert(np.asarray(np.linalg.cholesky(points.covariance), dtype=np.float64))
+
+    def unpack(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return values if focal_free else np.concatenate([[0.0], values])
+
+    def residuals(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        projected = _project(points.target, camera_matrix, unpack(values))
+        return np.asarray(whiten @ (projected - points.pixels).ravel(), dtype=np.float64)
+
+    try:
+        solution = least_squares(residuals, parameters, method="lm", x_scale="jac", max_nfev=2000)
+    except ValueError as error:
+        raise CalibrationError("no camera above the floor sees the corners like this") from error
+    values = unpack(solution.x)
+    _, height, pitch, roll, x, y, yaw = values
+    if pitch > _STEEPEST_PITCH_RADIANS:
+        raise CalibrationError(
+            "the camera looks straight down, which leaves the focal length and the direction ahead "
+            "open; tilt the camera, or give --intrinsics camera_info.yaml"
+        )
+    if abs(roll) > math.pi / 2 or pitch < -math.pi / 2 or abs(height) > _MOST_LOG_HEIGHT:
+        raise CalibrationError("no camera above the floor sees the corners like this")
+    freedom = max(len(solution.fun) - len(solution.x), 1)
+    misfit = math.sqrt(float(solution.fun @ solution.fun) / freedom)
+    jacobian = np.asarray(solution.jac, dtype=np.float64)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(1.0, misfit) ** 2
+    sigma = np.sqrt(np.diag(covariance))[: 4 if focal_free else 3]
+    focal = math.sqrt(float(camera_matrix[0, 0] * camera_matrix[1, 1])) * math.exp(values[0])
+    focal_sigma = focal * float(sigma[0]) if focal_free else 0.0
+    height_sigma, pitch_sigma, roll_sigma = sigma[-3:]
+    parting = _project(points.target, camera_matrix, values) - points.pixels
+    return Mounting(
+        focal_pixels=focal,
+        height_metres=math.exp(height),
+        pitch_radians=float(pitch),
+        roll_radians=float(roll),
+        sigmas=np.array([focal_sigma, math.exp(height) * height_sigma, pitch_sigma, roll_sigma]),
+        robot_from_target=Pose2(float(x), float(y), float(yaw)),
+        residual_pixels=float(np.sqrt(np.mean(np.sum(parting**2, axis=1)))),
+        misfit_sigmas=misfit,
+    )
+
+
+def _project(
+    target: NDArray[np.float64], camera_matrix: NDArray[np.float64], values: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    log_zoom, log_height, pitch, roll, x, y, yaw = (float(value) for value in values)
+    zoomed = camera_matrix @ np.diag([math.exp(log_zoom), math.exp(log_zoom), 1.0])
+    homography = camera.image_from_robot_homography(zoomed, math.exp(log_height), pitch, roll)
+    return apply_homography(homography, Pose2(x, y, yaw).apply(target))
+
+
+def _start(points: FloorPoints, camera_matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (7,) starting values from the homography's columns; log zoom 0."""
+    columns = invert(camera_matrix) @ fit_homography(points.target, points.pixels)
+    up, scale = floor_axes(columns)
+    pitch, roll = tilt(up)
+    origin = columns[:, 2] / scale
+    height = -float(origin @ up)
+    if height <= 0:
+        raise CalibrationError("no camera above the floor sees the corners like this")
+    image_from_robot = camera.image_from_robot_homography(camera_matrix, height, pitch, roll)
+    floor = apply_homography(invert(image_from_robot), points.pixels)
+    # The least-squares rotation between two point sets (Umeyama, PAMI 1991), in the plane.
+    target_centred = points.target - points.target.mean(axis=0)
+    floor_centred = floor - floor.mean(axis=0)
+    cosine = float(np.sum(target_centred * floor_centred))
+    sine = float(np.sum(target_centred[:, 0] * floor_centred[:, 1]))
+    sine -= float(np.sum(target_centred[:, 1] * floor_centred[:, 0]))
+    yaw = math.atan2(sine, cosine)
+    middle = floor.mean(axis=0) - Pose2(0.0, 0.0, yaw).apply(points.target.mean(axis=0))
+    return np.array([0.0, math.log(height), pitch, roll, middle[0], middle[1], yaw])

@@ -1,0 +1,167 @@
+"""Straight sides fitted to edge points, with what is known of how straight they are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.stages.square.candidates import line_through
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_TUKEY = 4.685
+_LEAST_SCALE_PIXELS = 0.03
+_REWEIGHTINGS = 6
+_RANSAC_DRAWS = 80
+# What rendering, demosaicking and gamma leave as a common shift of a whole side, one sigma.
+_SYSTEMATIC_PIXELS = 0.02
+_MOST_CORRELATED_PROFILES = 30
+# One sigma of how a lens that nobody calibrated bends a line right across the picture, as a share
+# of its width; the sagitta grows with the square of the length.
+_USUAL_BOW = 0.0005
+_CHANCE_SIGMAS = 3.0
+# Variance of x^2's coefficient over N points spread evenly on [-1, 1], times N / variance.
+_BOW_VARIANCE_FACTOR = 11.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Side:
+    """A fitted side: a point and unit direction, and the (2, 2) covariance of shift and slope.
+
+    Its bow is the sagitta of a parabola over `half_length` to either side of the centre, positive
+    inwards, shrunk towards zero by how far chance may have made it.
+    """
+
+    centre: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    half_length: float
+    covariance: NDArray[np.float64]
+    support: float
+    contrast: float
+    bow_pixels: float
+    residual_pixels: float
+
+    @property
+    def line(self) -> NDArray[np.float64]:
+        """(3,) coefficients, the normal pointing out of the quadrilateral."""
+        return line_through(self.centre, self.centre + self.direction)
+
+
+def fit_side(
+    points: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    total: int,
+    contrast: float,
+    width_pixels: float,
+) -> Side:
+    """Fit one line by weighted total least squares, with the covariance of its place and slope.
+
+    Parameters
+    ----------
+    points, weights : (N, 2) and (N,)
+        Undistorted pixels.
+    total : int
+        Profiles that were read to get the points.
+    contrast : float
+        Gray levels, passed on.
+    width_pixels : float
+        Of the picture, which tells how much a usual lens bends a line of some length.
+    """
+    mass = float(weights.sum())
+    centre, direction = _fit_line(points, weights)
+    centred = points - centre
+    along = centred @ direction
+    across = centred @ np.array([direction[1], -direction[0]])
+    variance = float(weights @ across**2) / mass
+    moment = float(weights @ along**2)
+    span = math.sqrt(max(moment / mass, 1e-12))
+    correlated = _correlated_neighbours(across, weights)
+    shift = variance * correlated / mass + _SYSTEMATIC_PIXELS**2
+    slope = variance * correlated / moment + (_SYSTEMATIC_PIXELS / span / 2) ** 2
+    half_length = math.sqrt(3.0) * span
+    bow, bow_sigma = _measure_bow(along / half_length, across, weights)
+    # Shrunk towards straight, but for what a usual lens may bend, or what cannot be chance.
+    usual = _USUAL_BOW * (2.0 * half_length) ** 2 / width_pixels
+    lens_gain = usual**2 / (usual**2 + bow_sigma**2 + 1e-12)
+    certainty = 1.0 - (_CHANCE_SIGMAS * bow_sigma / bow) ** 2 if bow else 0.0
+    bow *= max(lens_gain, certainty)
+    return Side(
+        centre=centre,
+        direction=direction,
+        half_length=half_length,
+        covariance=np.diag([shift, slope]),
+        support=float((weights > 0.2).sum()) / total,
+        contrast=contrast,
+        bow_pixels=bow,
+        residual_pixels=math.sqrt(variance),
+    )
+
+
+def fit_side_robustly(
+    points: NDArray[np.float64], total: int, contrast: float, width_pixels: float
+) -> Side:
+    """Fit one line as `fit_side` does, with Tukey's weights."""
+    weights = np.ones(len(points))
+    for _ in range(_REWEIGHTINGS):
+        centre, direction = _fit_line(points, weights)
+        distance = (points - centre) @ np.array([direction[1], -direction[0]])
+        scale = max(1.4826 * float(np.median(np.abs(distance))), _LEAST_SCALE_PIXELS)
+        weights = np.clip(1.0 - (distance / (_TUKEY * scale)) ** 2, 0.0, None) ** 2
+    return fit_side(points, weights, total, contrast, width_pixels)
+
+
+def _fit_line(
+    points: NDArray[np.float64], weights: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return a point of the line and its unit direction, from the first point to the last."""
+    centre = weights @ points / float(weights.sum())
+    x, y = (points - centre).T
+    # The principal axis of a plane scatter in closed form.
+    angle = 0.5 * math.atan2(2.0 * float(weights @ (x * y)), float(weights @ (x * x - y * y)))
+    direction = np.array([math.cos(angle), math.sin(angle)])
+    heading = float(direction @ (points[-1] - points[0]))
+    return centre, direction if heading > 0 else -direction
+
+
+def ransac_weights(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (N,) 1 for the points of the line through two of them that has most, else 0."""
+    generator = np.random.default_rng(len(points))
+    first = generator.integers(len(points), size=_RANSAC_DRAWS)
+    second = (first + generator.integers(1, len(points), size=_RANSAC_DRAWS)) % len(points)
+    lines = line_through(points[first], points[second])
+    distance = np.abs(points @ lines[:, :2].T + lines[:, 2])
+    # Half way between counting and least squares: a truncated quadratic (MSAC).
+    cost = np.minimum(distance**2, 1.0).sum(axis=0)
+    weights: NDArray[np.float64] = (distance[:, int(cost.argmin())] < 1.5).astype(np.float64)
+    return weights
+
+
+def _measure_bow(
+    places: NDArray[np.float64], across: NDArray[np.float64], weights: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Return the sagitta, pixels, of a parabola over `places` in [-1, 1], and its sigma."""
+    fit = np.polynomial.polynomial.polyfit(places, across, 2, w=np.sqrt(weights))
+    left = across - np.polynomial.polynomial.polyval(places, fit)
+    mass = float(weights.sum())
+    variance = float(weights @ left**2) / mass * _correlated_neighbours(left, weights)
+    return float(fit[2]), math.sqrt(_BOW_VARIANCE_FACTOR * variance / mass)
+
+
+def _correlated_neighbours(residuals: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    """Return how many neighbouring profiles err as one: shared pixels, and grain of the floor.
+
+    The integrated autocorrelation 1 + 2 sum rho_k, cut at its first lag without correlation.
+    """
+    weighted = residuals * weights
+    power = float(weighted @ weighted)
+    total = 1.0
+    for lag in range(1, min(_MOST_CORRELATED_PROFILES, len(residuals) // 3)):
+        correlation = float(weighted[lag:] @ weighted[:-lag]) / max(power, 1e-12)
+        if correlation <= 0.0:
+            break
+        total += 2.0 * correlation
+    return total

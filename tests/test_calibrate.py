@@ -1,0 +1,318 @@
+"""The camera above the floor, from simulated squares whose every number is known."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from square_photos import SIDE_METRES, Photo, random_photo, render, rotation
+
+from slamcli.cli import main
+from slamcli.core.errors import CalibrationError, InputError, OutputError
+from slamcli.core.geometry import apply_homography
+from slamcli.io.calibrations import load_calibration, save_calibration
+from slamcli.run.calibrate import CalibrateOptions
+from slamcli.run.calibrate import calibrate as run_calibrate
+from slamcli.stages import calibrate, camera
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from slamcli.core.records import Calibration
+
+SQUARE = CalibrateOptions(side_metres=SIDE_METRES)
+
+
+def floor_distance_errors(photo: Photo, calibration: Calibration) -> np.ndarray:
+    """Relative errors between seen lattice points up to three squares away from the square's."""
+    lattice = np.array([(i, j) for i in range(-7, 8) for j in range(-7, 8)]) * photo.side / 2
+    floor = lattice @ rotation(photo.yaw).T + photo.centre
+    depth = floor @ photo.image_from_robot[2, :2] + photo.image_from_robot[2, 2]
+    floor = floor[depth > 0.02]
+    pixels = camera.distort_points(
+        photo.intrinsics, apply_homography(photo.image_from_robot, floor)
+    )
+    seen = np.all((pixels >= 0) & (pixels <= np.array(photo.size) - 1), axis=1)
+    undistorted = camera.undistort_points(calibration, pixels[seen])
+    measured = apply_homography(calibration.robot_from_image, undistorted)
+    first, second = np.triu_indices(int(seen.sum()), 1)
+    true = np.linalg.norm(floor[seen][first] - floor[seen][second], axis=1)
+    told = np.linalg.norm(measured[first] - measured[second], axis=1)
+    apart = true >= 0.99 * photo.side
+    return np.abs(told / true - 1.0)[apart]
+
+
+def save_photo(photo: Photo, path: Path) -> Path:
+    cv2.imwrite(str(path), render(photo))
+    return path
+
+
+def run(photo: Photo, folder: Path, options: CalibrateOptions = SQUARE) -> Calibration:
+    picture = save_photo(photo, folder / "square.png")
+    run_calibrate([picture], folder / "out.yaml", options, overwrite=True)
+    return load_calibration(folder / "out.yaml")
+
+
+def solve(photo: Photo, corners: np.ndarray, sigma: float, *, known: bool) -> calibrate.Mounting:
+    ordered = calibrate.sort_corners(corners, photo.size)
+    undistorted = camera.undistort_points(photo.intrinsics, ordered) if known else ordered
+    points = calibrate.FloorPoints(
+        calibrate.square_target(photo.side), undistorted, np.eye(8) * sigma**2
+    )
+    if known:
+        return calibrate.solve_mounting_with_intrinsics(points, photo.intrinsics)
+    return calibrate.solve_mounting(points, photo.size)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_simulated_squares_calibrate_within_the_promised_limits(seed: int, tmp_path: Path) -> None:
+    photo = random_photo(seed, hard=False)
+    calibration = run(photo, tmp_path)
+    assert floor_distance_errors(photo, calibration).max() < 0.01
+    assert calibration.height_metres == pytest.approx(photo.height, rel=0.02)
+    assert math.degrees(calibration.pitch_radians) == pytest.approx(photo.pitch, abs=0.3)
+    assert math.degrees(calibration.roll_radians) == pytest.approx(photo.roll, abs=0.3)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1e-7, 30.0, 45.0, 90.0])
+@pytest.mark.parametrize("roll", [0.0, 4.0])
+def test_exact_corners_give_the_exact_camera(yaw: float, roll: float) -> None:
+    photo = Photo(yaw=yaw, roll=roll)
+    mounting = solve(photo, photo.corners, 0.1, known=False)
+    assert mounting.focal_pixels == pytest.approx(photo.focal, rel=1e-6)
+    assert mounting.height_metres == pytest.approx(photo.height, rel=1e-6)
+    assert math.degrees(mounting.pitch_radians) == pytest.approx(photo.pitch, abs=1e-5)
+    assert math.degrees(mounting.roll_radians) == pytest.approx(photo.roll, abs=1e-5)
+    assert mounting.residual_pixels < 1e-6
+
+
+def test_the_sigmas_tell_how_far_the_numbers_are_off() -> None:
+    photo = Photo(yaw=25.0, roll=2.0)
+    generator = np.random.default_rng(4)
+    scores = []
+    for _ in range(60):
+        noisy = photo.corners + generator.normal(scale=0.2, size=(4, 2))
+        mounting = solve(photo, noisy, 0.2, known=False)
+        errors = np.array(
+            [
+                mounting.focal_pixels - photo.focal,
+                mounting.height_metres - photo.height,
+                mounting.pitch_radians - math.radians(photo.pitch),
+                mounting.roll_radians - math.radians(photo.roll),
+            ]
+        )
+        scores.append(errors / mounting.sigmas)
+    assert np.all(np.abs(np.sqrt(np.mean(np.square(scores), axis=0)) - 1.0) < 0.35)
+
+
+LENSES = [
+    ("plumb_bob", (-0.3, 0.1, 0.001, -0.001, 0.0)),
+    ("rational_polynomial", (0.1, -0.05, 0.0, 0.0, 0.01, 0.3, -0.02, 0.01)),
+    ("equidistant", (-0.02, 0.01, 0.0, 0.0)),
+]
+
+
+@pytest.mark.parametrize(("model", "distortion"), LENSES)
+def test_a_known_lens_leaves_height_pitch_and_roll(
+    model: str, distortion: tuple[float, ...], tmp_path: Path
+) -> None:
+    photo = Photo(
+        yaw=20.0, roll=3.0, focal=420.0, noise=3.0, distortion=distortion, distortion_model=model
+    )
+    path = tmp_path / "camera_info.yaml"
+    rows = ", ".join(map(str, photo.intrinsics.camera_matrix.ravel()))
+    path.write_text(
+        "image_width: 640\nimage_height: 480\n"
+        f"camera_matrix: {{rows: 3, cols: 3, data: [{rows}]}}\n"
+        f"distortion_model: {model}\ndistortion_coefficients: {{data: {list(distortion)}}}\n"
+    )
+    calibration = run(photo, tmp_path, CalibrateOptions(SIDE_METRES, intrinsics_path=path))
+    assert floor_distance_errors(photo, calibration).max() < 0.005
+    assert calibration.height_metres == pytest.approx(photo.height, rel=0.003)
+    assert math.degrees(calibration.pitch_radians) == pytest.approx(photo.pitch, abs=0.05)
+    assert calibration.distortion_model == model
+
+
+def test_a_camera_that_looks_straight_down_needs_intrinsics() -> None:
+    photo = Photo(pitch=89.0, height=0.6, centre=(0.02, 0.0), yaw=10.0)
+    generator = np.random.default_rng(0)
+    noisy = photo.corners + generator.normal(scale=0.1, size=(4, 2))
+    with pytest.raises(CalibrationError, match="--intrinsics"):
+        solve(photo, noisy, 0.1, known=False)
+    mounting = solve(photo, noisy, 0.1, known=True)
+    assert mounting.height_metres == pytest.approx(0.6, rel=0.003)
+    assert math.degrees(mounting.pitch_radians) == pytest.approx(89.0, abs=0.2)
+
+
+def test_corners_that_no_floor_shows_are_refused() -> None:
+    upside_down = np.array([(100.0, 100.0), (500.0, 100.0), (350.0, 300.0), (250.0, 300.0)])
+    with pytest.raises(CalibrationError, match="above the floor"):
+        solve(Photo(), upside_down, 0.1, known=False)
+    from_above = np.array([(200.0, 100.0), (400.0, 100.0), (400.0, 300.0), (200.0, 300.0)])
+    with pytest.raises(CalibrationError, match="--intrinsics"):
+        solve(Photo(), from_above, 0.1, known=False)
+
+
+def test_corners_may_come_in_any_order() -> None:
+    photo = Photo(yaw=33.0, roll=-3.0)
+    generator = np.random.default_rng(2)
+    first = solve(photo, photo.corners, 0.1, known=False)
+    for _ in range(5):
+        other = solve(photo, generator.permutation(photo.corners), 0.1, known=False)
+        assert other.height_metres == pytest.approx(first.height_metres, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("corners", "message"),
+    [
+        ([(0, 0), (100, 100), (200, 200), (300, 300)], "line"),
+        ([(10, 10), (200, 10), (200, 100), (105, 10)], "line"),
+        ([(10, 10), (10, 10), (200, 100), (10, 100)], "same point"),
+        ([(10, 10), (200, 10), (110, 40), (100, 200)], "inside the others"),
+        ([(10, 10), (900, 10), (200, 100), (10, 100)], "inside the photo"),
+        ([(10, 10), (200, 10), (200, 100)], "four points"),
+        ([(10, 10), (200, 10), (200, 100), (math.nan, 5)], "four points"),
+    ],
+)
+def test_impossible_corners_are_refused(corners: list[tuple[float, float]], message: str) -> None:
+    with pytest.raises(CalibrationError, match=message):
+        calibrate.sort_corners(corners, (640, 480))
+
+
+@cache
+def chessboard_sheet() -> np.ndarray:
+    fields = np.indices((7, 9)).sum(axis=0) % 2
+    board = np.kron(fields, np.ones((45, 45), int)) * 255
+    return np.pad(board, ((92, 93), (47, 48)), constant_values=255)
+
+
+@cache
+def marker_sheet() -> np.ndarray:
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    return np.pad(
+        np.asarray(cv2.aruco.generateImageMarker(dictionary, 7, 300)), 50, constant_values=255
+    )
+
+
+def test_a_chessboard_calibrates(tmp_path: Path) -> None:
+    photo = Photo(yaw=12.0, roll=2.0, noise=2.0, sheet=chessboard_sheet())
+    calibration = run(photo, tmp_path, CalibrateOptions(SIDE_METRES * 45 / 500, chessboard=(8, 6)))
+    assert floor_distance_errors(photo, calibration).max() < 0.01
+    assert calibration.height_metres == pytest.approx(photo.height, rel=0.01)
+
+
+def test_an_aruco_marker_calibrates(tmp_path: Path) -> None:
+    photo = Photo(yaw=-25.0, roll=2.0, noise=2.0, sheet=marker_sheet())
+    side = SIDE_METRES * 300 / 400
+    calibration = run(photo, tmp_path, CalibrateOptions(side, marker="4x4_50"))
+    assert floor_distance_errors(photo, calibration).max() < 0.02
+    assert calibration.height_metres == pytest.approx(photo.height, rel=0.02)
+
+
+def test_the_command_writes_a_calibration_and_a_check_picture(tmp_path: Path) -> None:
+    photo = Photo(yaw=15.0, noise=3.0)
+    picture = save_photo(photo, tmp_path / "Quadrat ä 1.png")
+    output = tmp_path / "new folder"
+    result = CliRunner().invoke(main, ["calibrate", str(picture), "-o", str(output)])
+    assert result.exit_code == 0, result.output
+    calibration = load_calibration(output / "calibration.yaml")
+    assert calibration.height_metres == pytest.approx(0.3, rel=0.01)
+    drawing = cv2.imread(str(output / "calibration.png"))
+    assert drawing is not None
+    assert "mm of floor" in result.output
+    text = (output / "calibration.yaml").read_bytes()
+    again = CliRunner().invoke(main, ["calibrate", str(picture), "-o", str(output)])
+    assert again.exit_code == 1
+    assert "--overwrite" in again.output
+    over = CliRunner().invoke(main, ["calibrate", str(picture), "-o", str(output), "--overwrite"])
+    assert over.exit_code == 0
+    assert (output / "calibration.yaml").read_bytes() == text
+
+
+def test_the_far_limit_is_chosen_or_given(tmp_path: Path) -> None:
+    photo = Photo(pitch=20.0, height=0.2, centre=(0.6, 0.0), noise=2.0)
+    chosen = run(photo, tmp_path)
+    near = camera.floor_sampling(chosen, [[0.35, 0.0]])[0, 0]
+    far = camera.floor_sampling(chosen, [[chosen.max_range_metres, 0.0]])[0, 0]
+    assert far / near > 3
+    given = run(photo, tmp_path, CalibrateOptions(SIDE_METRES, max_range_metres=0.9))
+    assert given.max_range_metres == 0.9
+
+
+def test_several_photos_are_compared_and_the_best_is_written(tmp_path: Path) -> None:
+    pitches = (25.0, 45.0)
+    photos = [
+        save_photo(
+            Photo(pitch=pitch, height=0.35, centre=(0.35 / math.tan(math.radians(pitch)), 0.0)),
+            tmp_path / f"pitch{pitch:.0f}.png",
+        )
+        for pitch in pitches
+    ]
+    photos.append(tmp_path / "blank.png")
+    cv2.imwrite(str(photos[-1]), np.full((480, 640, 3), 80, np.uint8))
+    lines = run_calibrate(photos, tmp_path / "all.yaml", SQUARE, overwrite=False)
+    table = [line for line in lines if line.startswith("pitch")]
+    assert "25.0°" in table[0]
+    assert "45.0°" in table[1]
+    best = next(line for line in lines if line.startswith("best:"))
+    assert "resolve" in best
+    assert any("blank.png" in line and "no square" in line for line in lines)
+    names = {path.name for path in tmp_path.glob("*.yaml")}
+    assert names == {"all.yaml", "all_pitch25.yaml", "all_pitch45.yaml"}
+    chosen = best.split()[1].removesuffix(",").removesuffix(".png")
+    own = load_calibration(tmp_path / f"all_{chosen}.yaml")
+    assert load_calibration(tmp_path / "all.yaml").pitch_radians == own.pitch_radians
+
+
+def blank_photo(folder: Path) -> Path:
+    path = folder / "photo.png"
+    cv2.imwrite(str(path), np.full((480, 640, 3), 80, np.uint8))
+    return path
+
+
+def test_bad_input_is_one_line_and_writes_nothing(tmp_path: Path) -> None:
+    photo = blank_photo(tmp_path)
+    output = tmp_path / "out.yaml"
+    corners = ((100.0, 100.0), (300.0, 100.0), (300.0, 300.0), (100.0, 300.0))
+    lens = tmp_path / "lens.yaml"
+    save_calibration(lens, camera.top_down_calibration((320, 240)))
+    text = tmp_path / "text.png"
+    text.write_text("no picture")
+    cases: list[tuple[Path, CalibrateOptions, type[Exception], str]] = [
+        (tmp_path / "none.png", SQUARE, InputError, "none.png"),
+        (text, SQUARE, InputError, "text.png"),
+        (photo, SQUARE, CalibrationError, "--corners"),
+        (photo, CalibrateOptions(0.0), InputError, "--side"),
+        (photo, CalibrateOptions(-0.3), InputError, "--side"),
+        (photo, CalibrateOptions(0.3, max_range_metres=0.0), InputError, "--max-range"),
+        (photo, CalibrateOptions(0.3, corners=corners, marker="4x4_50"), InputError, "only one"),
+        (photo, CalibrateOptions(0.3, refine=True), InputError, "--refine"),
+        (photo, CalibrateOptions(0.3, chessboard=(7, 5)), CalibrationError, "chessboard"),
+        (photo, CalibrateOptions(0.3, marker="4x4_50"), CalibrationError, "marker"),
+        (photo, CalibrateOptions(0.3, marker="9x9"), CalibrationError, "dictionary"),
+        (photo, CalibrateOptions(0.3, intrinsics_path=lens), CalibrationError, "320x240"),
+    ]
+    for path, options, kind, message in cases:
+        with pytest.raises(kind, match=message) as caught:
+            run_calibrate([path], output, options, overwrite=False)
+        assert "\n" not in str(caught.value)
+    assert not output.exists()
+    output.write_text("mine")
+    with pytest.raises(OutputError, match="--overwrite"):
+        run_calibrate([photo], output, SQUARE, overwrite=False)
+    assert output.read_text() == "mine"
+
+
+def test_a_malformed_option_is_a_usage_error(tmp_path: Path) -> None:
+    photo = str(blank_photo(tmp_path))
+    for option in (
+        ["--corners", "1,2 3,4"],
+        ["--corners", "a,b c,d e,f g,h"],
+        ["--chessboard", "8"],
+    ):
+        assert CliRunner().invoke(main, ["calibrate", photo, *option]).exit_code == 2

@@ -1,0 +1,186 @@
+"""The square is found by itself, to a fraction of a pixel, whatever lies on and around it."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import pytest
+from square_photos import Photo, random_photo, render
+
+from slamcli.core.errors import CalibrationError
+from slamcli.core.records import Intrinsics
+from slamcli.stages import calibrate
+from slamcli.stages.square import Square, find_squares, refine_square
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def plain_lens(size: tuple[int, int]) -> Intrinsics:
+    return Intrinsics(np.diag([float(size[0]), size[0], 1.0]), np.zeros(5), "plumb_bob", size)
+
+
+def find(image: np.ndarray, intrinsics: Intrinsics | None = None) -> tuple[Square, ...]:
+    size = (image.shape[1], image.shape[0])
+    judge = partial(
+        calibrate.squareness,
+        image_size=size,
+        intrinsics=intrinsics,
+        tolerance_pixels=0.004 * size[0],
+    )
+    return find_squares(image, intrinsics or plain_lens(size), judge)
+
+
+def corner_errors(corners: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Distances in pixels, for the order of the true corners that fits best."""
+    orders = [np.roll(turned, k, axis=0) for turned in (truth, truth[::-1]) for k in range(4)]
+    errors = [np.linalg.norm(corners - order, axis=1) for order in orders]
+    return min(errors, key=lambda error: float(error.max()))
+
+
+def test_corners_of_a_clean_photo_are_good_to_a_twentieth_of_a_pixel() -> None:
+    photo = Photo(yaw=17.0, noise=1.0)
+    (square,) = find(render(photo))
+    assert corner_errors(square.corners, photo.corners).max() < 0.05
+
+
+def test_a_side_along_the_pixel_rows_is_not_pulled_to_whole_pixels() -> None:
+    # Straight ahead, the near and far sides run along rows: every profile has the same phase.
+    errors = []
+    for offset in np.arange(4) / 4 * 0.002:
+        photo = Photo(yaw=0.0, roll=0.0, centre=(0.55 + offset, 0.0))
+        (square,) = find(render(photo))
+        errors.append(np.sort(square.corners[:, 1]) - np.sort(photo.corners[:, 1]))
+    assert np.abs(errors).max() < 0.02
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_it_is_found_on_a_textured_floor_with_lines_marks_and_noise(seed: int) -> None:
+    photo = random_photo(100 + seed, hard=True)
+    square = find(render(photo))[0]
+    assert corner_errors(square.corners, photo.corners).max() < 0.7
+
+
+def test_a_line_of_the_same_paint_along_a_side_and_through_a_corner_does_not_move_it() -> None:
+    lines = ((1.0, 0.85, 6.0, 0.85, 0.04572), (-1.0, -1.0, -1.0, -6.0, 0.03), (0, 1, 0, 6, 0.04))
+    photo = Photo(yaw=9.0, noise=5.0, lines=lines)
+    square = find(render(photo))[0]
+    assert corner_errors(square.corners, photo.corners).max() < 0.2
+
+
+def test_the_square_is_told_from_oblongs_and_the_larger_square_from_smaller_ones() -> None:
+    photo = Photo(
+        noise=4.0,
+        height=0.4,
+        yaw=12.0,
+        centre=(0.6, 0.1),
+        other_squares=((1.2, -0.25, 20.0, 0.15), (0.45, -0.35, 5.0, 0.12)),
+        boxes=((1.0, 0.35, 0.2, 0.45), (0.34, 0.1, 0.1, 0.3)),
+    )
+    square = find(render(photo))[0]
+    assert corner_errors(square.corners, photo.corners).max() < 0.2
+
+
+def test_two_squares_alike_are_both_told_of() -> None:
+    other = (0.72, -0.22, -10.0, 0.3)
+    photo = Photo(noise=4.0, height=0.45, centre=(0.7, 0.2), side=0.3, other_squares=(other,))
+    found = find(render(photo))
+    assert len(found) >= 2
+    assert corner_errors(found[0].corners, photo.corners).max() > 20 or (
+        corner_errors(found[1].corners, photo.corners).max() > 20
+    )
+
+
+def test_a_coloured_square_as_bright_as_the_floor_is_found() -> None:
+    photo = Photo(yaw=-14.0, square_level=200.0, floor_level=40.0)
+    share = (render(photo)[..., :1].astype(np.float64) - 40.0) / 160.0
+    # Both colours have a luminance of about 120.
+    red, green = np.array([40.0, 40.0, 307.0]).clip(0, 255), np.array([60.0, 145.0, 90.0])
+    image = np.rint(share * red + (1 - share) * green).astype(np.uint8)
+    (square, *_) = find(image)
+    assert corner_errors(square.corners, photo.corners).max() < 0.1
+
+
+def test_a_bent_square_is_straightened_by_a_known_lens() -> None:
+    photo = Photo(yaw=20.0, noise=2.0, distortion=(-0.25, 0.06, 0.0, 0.0, 0.0))
+    (square, *_) = find(render(photo), photo.intrinsics)
+    assert corner_errors(square.corners, photo.corners).max() < 0.06
+    assert abs(square.quad.bow_pixels) < 0.1
+
+
+def test_a_bent_square_without_a_known_lens_keeps_its_corners_and_shows_its_bow() -> None:
+    photo = Photo(yaw=0.0, centre=(0.5, 0.0), noise=2.0, distortion=(-0.25, 0.06, 0.0, 0.0, 0.0))
+    (square, *_) = find(render(photo))
+    assert corner_errors(square.corners, photo.corners).max() < 0.35
+    assert abs(square.quad.bow_pixels) > 1.0
+
+
+def test_the_covariance_tells_how_far_the_corners_are_off() -> None:
+    ratios = []
+    for seed in range(4):
+        photo = random_photo(300 + seed, hard=False)
+        square = find(render(photo))[0]
+        sigma = np.sqrt(np.diag(square.quad.covariance))
+        ratios.append(
+            corner_errors(square.corners, photo.corners) / np.hypot(*sigma.reshape(4, 2).T)
+        )
+    assert 0.2 < np.sqrt(np.mean(np.square(ratios))) < 1.5
+
+
+def test_given_corners_are_moved_to_the_edges() -> None:
+    photo = Photo(yaw=17.0, noise=3.0)
+    image = render(photo)
+    true = calibrate.sort_corners(photo.corners, photo.size)
+    given = true + np.array([[2.0, -1.0], [-1.5, 2.0], [1.0, 2.0], [-2.0, -1.0]])
+    square = refine_square(image, given, plain_lens(photo.size))
+    assert corner_errors(square.corners, photo.corners).max() < 0.1
+
+
+def test_given_corners_without_edges_are_refused() -> None:
+    image = np.full((480, 640, 3), 90, np.uint8)
+    corners = np.array([[100.0, 100.0], [300.0, 110.0], [310.0, 300.0], [90.0, 290.0]])
+    with pytest.raises(CalibrationError, match="no edges"):
+        refine_square(image, corners, plain_lens((640, 480)))
+
+
+def textured_floor() -> np.ndarray:
+    return render(Photo(texture=14.0, noise=6.0, side=1e-4))
+
+
+def blobs() -> np.ndarray:
+    image = np.full((480, 640, 3), 70, np.uint8)
+    cv2.circle(image, (300, 250), 90, (190, 190, 190), -1)
+    cv2.fillPoly(image, [np.array([[450, 400], [560, 260], [600, 420]])], (200, 200, 200))
+    return image
+
+
+@pytest.mark.parametrize("make", [textured_floor, blobs, lambda: np.zeros((480, 640, 3), np.uint8)])
+def test_no_square_is_said_to_be_none(make: object) -> None:
+    with pytest.raises(CalibrationError, match="--corners"):
+        find(make())  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(
+    ("name", "corners", "limit"),
+    [
+        ("gazebo/cap6.jpg", [(922, 220), (688, 27), (276, 27), (7, 218)], 2.0),
+        ("gazebo/calibrate.jpg", [(623, 178), (453, 31), (187, 31), (18, 178)], 2.0),
+        ("course/c01.jpg", [(1242, 513), (1642, 513), (1890, 570), (1342, 570)], 4.0),
+    ],
+)
+def test_the_squares_of_the_published_photos_are_found(
+    data_folder: Path, name: str, corners: list[tuple[int, int]], limit: float
+) -> None:
+    image = cv2.imread(str(data_folder / name))
+    square = find(np.asarray(image, dtype=np.uint8))[0]
+    assert corner_errors(square.corners, np.array(corners, float)).max() < limit
+
+
+def test_equal_photos_give_equal_bits() -> None:
+    image = render(random_photo(5, hard=True))
+    first, second = find(image)[0], find(image)[0]
+    assert np.array_equal(first.corners, second.corners)
+    assert np.array_equal(first.quad.covariance, second.quad.covariance)
