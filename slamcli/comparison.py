@@ -79,7 +79,7 @@ def compare(
             again = dense.agreement(keyframe.view, prepared.view, refined.a_from_b)
             if again.correlation > agreed.correlation:
                 pose, covariance, agreed = refined.a_from_b, refined.covariance, again
-    doubt = _doubt(agreed, options)
+    doubt = _doubt(pose, agreed, options)
     if doubt:
         reason = f"{doubt} (to {keyframe.name})"
         return Trial(keyframe, prepared, fit, None, agreed.overlap, reason)
@@ -95,8 +95,14 @@ def compare(
     return Trial(keyframe, prepared, fit, link, agreed.overlap)
 
 
-def _doubt(agreed: dense.Agreement, options: MapperOptions) -> str:
-    """Return why the pixels contradict a fit; empty when they do not."""
+def _doubt(pose: Pose2, agreed: dense.Agreement, options: MapperOptions) -> str:
+    """Return why a fit is not plausible, or contradicted by the pixels; empty when neither."""
+    turn = abs(math.degrees(pose.theta))
+    if turn > options.max_turn_degrees:
+        return (
+            f"the fit turns the robot by {turn:.0f} degrees; "
+            f"at most {options.max_turn_degrees:.0f} are plausible"
+        )
     if agreed.overlap < options.min_overlap:
         return (
             f"the fit leaves an overlap of {agreed.overlap:.0%}; "

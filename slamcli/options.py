@@ -282,6 +282,13 @@ mapper_options = stacked(
         help="Least share of floor that a believed fit leaves in common.",
     ),
     click.option(
+        "--max-turn",
+        type=click.FloatRange(0, 180),
+        default=_MAPPER.max_turn_degrees,
+        show_default=True,
+        help="Degrees: most that the robot turns between two frames that are compared.",
+    ),
+    click.option(
         "--min-score",
         type=click.FloatRange(-1, 1),
         default=_MAPPER.min_score,
@@ -312,6 +319,7 @@ def mapper_of(told: Mapping[str, Any]) -> MapperOptions:
         recent_keyframes=told["recent_keyframes"],
         keyframe_overlap=told["keyframe_overlap"],
         min_overlap=told["min_overlap"],
+        max_turn_degrees=told["max_turn"],
         min_score=told["min_score"],
         tilt_sigma_degrees=told["tilt_sigma"],
         refine=told["refine_pixels"],

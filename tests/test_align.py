@@ -327,3 +327,15 @@ def test_implausible_scales_and_stretches_are_turned_away(agreeing):
     stretched = replace(b, points=b.points * np.array([3.0, 1.0], np.float32))
     fit = align.align(a, stretched, MatchOptions(model="affine", threshold=0.01))
     assert fit.reason.startswith("a stretch of 3 among the inliers")
+
+
+def test_two_motions_that_explain_as_much_are_ambiguous(agreeing):
+    a, b = agreeing
+    other = Pose2(RIGID.x + 0.3, RIGID.y, RIGID.theta)
+    points = a.points.copy()
+    points[35:] = other.apply(b.points[35:])
+    fit = align.align(replace(a, points=points), b, MatchOptions())
+    assert fit.reason == "ambiguous: 35 matches agree on one motion and 25 on another"
+    points = a.points.copy()
+    points[50:] = other.apply(b.points[50:])
+    assert align.align(replace(a, points=points), b, MatchOptions()).accepted

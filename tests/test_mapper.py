@@ -120,3 +120,36 @@ def test_an_index_that_came_before_is_refused(photographer: photograph.Photograp
     assert refused.status == "lost"
     assert "came before" in refused.reason
     assert len(mapper.estimates) == 1
+
+
+def test_a_bare_course_is_never_placed_by_its_likeness_to_itself() -> None:
+    """Its lines and squares look the same again after a quarter or a half turn."""
+    floor = floors.make_floor("course", 0.0, 0.001, seed=0)
+    calibration = photograph.make_camera(CameraOptions(size=(400, 300)))
+    bare = photograph.Photographer(photograph.World(floor), calibration)
+    angles = np.linspace(0.0, math.tau, 20, endpoint=False)
+    truth = [Pose2(-0.45 + 0.38 * math.sin(a), -0.07 - 0.38 * math.cos(a), a) for a in angles]
+    mapper = slamcli.Mapper(calibration)
+    for index, pose in enumerate(truth):
+        mapper.update(take(bare, pose, index))
+    first: dict[int, int] = {}
+    for estimate in mapper.finish():
+        if estimate.map_from_robot is None:
+            continue
+        origin = first.setdefault(estimate.fragment, estimate.index)
+        metres, degrees = error_of(estimate, truth[origin].inverse() @ truth[estimate.index])
+        assert metres < 0.05
+        assert degrees < 2.0
+
+
+def test_a_turn_that_no_robot_makes_between_frames_is_not_believed(
+    photographer: photograph.Photographer,
+) -> None:
+    mapper = slamcli.Mapper(photographer.calibration)
+    mapper.update(take(photographer, Pose2()))
+    # Turned by 100 degrees about the middle of what it sees, it shows much of the same floor.
+    middle = Pose2(0.25)
+    turned = middle @ Pose2(0.0, 0.0, math.radians(100)) @ middle.inverse()
+    estimate = mapper.update(take(photographer, turned, 1))
+    assert estimate.status == "lost"
+    assert "100 degrees" in estimate.reason

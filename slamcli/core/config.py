@@ -111,6 +111,8 @@ class MatchOptions:
     max_residual_ratio : float
         Of the inliers' root mean square residual to the threshold. Matches that agree by chance
         fill the disc evenly, which gives 0.71; true ones crowd at its centre.
+    max_rival_share : float
+        Of the inliers: with more matches than this agreeing on another transform, neither is.
     max_scale : float
         Largest scale, or 1 over the smallest, that a similarity, affinity or homography may have
         anywhere among the inliers.
@@ -136,6 +138,7 @@ class MatchOptions:
     min_inlier_ratio: float = 0.1
     min_spread: float = 0.1
     max_residual_ratio: float = 0.62
+    max_rival_share: float = 0.5
     max_scale: float = 8.0
     max_stretch: float = 2.0
     search_radius: float | None = None
@@ -159,6 +162,9 @@ class MapperOptions:
         A frame that shares less of its floor with the current keyframe becomes one itself.
     min_overlap : float
         Least share of floor that two frames must both see for their fit to be believed.
+    max_turn_degrees : float
+        Most that the robot may have turned between two frames that are compared: floors with lines
+        and squares look the same again after a quarter or half turn.
     min_score : float
         Least correlation of the overlap's pixels for a fit to be believed, in [-1, 1].
     tilt_sigma_degrees : float
@@ -173,6 +179,7 @@ class MapperOptions:
     recent_keyframes: int = 5
     keyframe_overlap: float = 0.7
     min_overlap: float = 0.1
+    max_turn_degrees: float = 75.0
     min_score: float = 0.3
     tilt_sigma_degrees: float = 0.05
     refine: bool = True

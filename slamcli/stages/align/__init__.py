@@ -19,6 +19,11 @@ if TYPE_CHECKING:
     from slamcli.core.config import MatchOptions
     from slamcli.core.records import Features
 
+# A rival as large as it must be to matter is drawn within this many samples.
+_RIVAL_ITERATIONS = 1000
+# Nearer than this many inlier thresholds it is the same motion, of matches that just missed it.
+_RIVAL_THRESHOLDS = 3.0
+
 __all__ = [
     "MODELS",
     "Consensus",
@@ -93,10 +98,45 @@ def align(
         _too_few(inliers, len(features_a), len(features_b), options)
         or _too_loose(residuals, thresholds, inliers, spread, options)
         or _implausible(a_from_b, points_b[inliers], options)
+        or _ambiguous(a_from_b, inliers, points_a, points_b, thresholds, options)
     )
     return Alignment(
         options.model, a_from_b, pose, covariance, matches, inliers, residuals, spread, reason
     )
+
+
+def _ambiguous(
+    a_from_b: NDArray[np.float64],
+    inliers: NDArray[np.bool_],
+    points_a: NDArray[np.float64],
+    points_b: NDArray[np.float64],
+    thresholds: NDArray[np.float64],
+    options: MatchOptions,
+) -> str:
+    """Return why the matches do not single out one transform, or nothing.
+
+    Floors that repeat, and lines that look alike, let another motion explain nearly as many of the
+    matches that the best one leaves over.
+    """
+    rest = ~inliers
+    rival = ransac(
+        points_a[rest],
+        points_b[rest],
+        MODELS[options.model],
+        thresholds[rest],
+        confidence=options.confidence,
+        max_iterations=min(options.max_iterations, _RIVAL_ITERATIONS),
+        seed=options.seed,
+    )
+    if rival is None:
+        return ""
+    best, second = int(inliers.sum()), int(rival.inliers.sum())
+    if second < options.max_rival_share * best:
+        return ""
+    apart = apply_homography(rival.a_from_b, points_b) - apply_homography(a_from_b, points_b)
+    if np.median(np.linalg.norm(apart, axis=1)) < _RIVAL_THRESHOLDS * np.median(thresholds):
+        return ""
+    return f"ambiguous: {best} matches agree on one motion and {second} on another"
 
 
 def _thresholds(
