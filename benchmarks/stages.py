@@ -129,11 +129,13 @@ def measure(count: int) -> list[tuple[str, float, float]]:
 
     tilt = math.radians(options.tilt_sigma_degrees)
     poses = [fit.pose or Pose2(STEP_METRES) for fit in fits]
+    make = median_milliseconds(lambda i: dense.make_levels(views[i], calibration, tilt), count)
+    levels = [dense.make_levels(one, calibration, tilt) for one in views]
     agree = median_milliseconds(
-        lambda i: dense.agreement(views[i], views[i + 1], poses[i]), count - 1
+        lambda i: dense.agreement(levels[i][0], levels[i + 1][0], poses[i]), count - 1
     )
     refine = median_milliseconds(
-        lambda i: dense.refine(views[i], views[i + 1], poses[i], calibration, tilt), count - 1
+        lambda i: dense.refine(levels[i], levels[i + 1], poses[i], calibration, tilt), count - 1
     )
 
     painter = Painter(calibration, camera.default_metres_per_pixel(calibration))
@@ -159,6 +161,7 @@ def measure(count: int) -> list[tuple[str, float, float]]:
         ("warp to the view", warp, bare_warp),
         ("detect ORB", detect, bare_detect),
         ("match and fit", fit, bare_fit),
+        ("pyramid of the view", make, math.nan),
         ("check the pixels", agree, math.nan),
         ("refine on the pixels", refine, math.nan),
         ("paint a patch", paint, bare_paint),

@@ -54,14 +54,12 @@ def compare(
     Parameters
     ----------
     keyframe, prepared : Prepared
-        Both with view and features.
+        Both with features and levels.
     guess : Pose2 or None
         ``keyframe_from_prepared`` as expected; matches are looked for near it alone.
     """
     assert keyframe.features is not None
-    assert keyframe.view is not None
     assert prepared.features is not None
-    assert prepared.view is not None
     matching = replace(
         options.matching,
         model="rigid",
@@ -71,12 +69,13 @@ def compare(
     if fit.pose is None or fit.covariance is None or fit.reason:
         return Trial(keyframe, prepared, fit, None, 0.0, f"{fit.reason} (to {keyframe.name})")
     pose, covariance = fit.pose, fit.covariance
-    agreed = dense.agreement(keyframe.view, prepared.view, pose)
+    finest = keyframe.levels[0], prepared.levels[0]
+    agreed = dense.agreement(*finest, pose)
     if options.refine:
         tilt = math.radians(options.tilt_sigma_degrees)
-        refined = dense.refine(keyframe.view, prepared.view, pose, calibration, tilt)
+        refined = dense.refine(keyframe.levels, prepared.levels, pose, calibration, tilt)
         if refined is not None:
-            again = dense.agreement(keyframe.view, prepared.view, refined.a_from_b)
+            again = dense.agreement(*finest, refined.a_from_b)
             if again.correlation > agreed.correlation:
                 pose, covariance, agreed = refined.a_from_b, refined.covariance, again
     doubt = _doubt(pose, agreed, options)

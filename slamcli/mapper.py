@@ -93,12 +93,13 @@ class Mapper:
             seen = view.make_view(frame, self._resampler, gray=True)
             view.check_view(seen)
             found = features.extract(seen, self.calibration, self.options.features, self._tilt)
+            levels = dense.make_levels(seen, self.calibration, self._tilt)
         except FrameError as error:
             return Prepared(frame.index, frame.name, frame.stamp, None, None, str(error))
         except (cv2.error, ValueError, TypeError) as error:
             reason = f"cannot be processed: {' '.join(str(error).split())}"
             return Prepared(frame.index, frame.name, frame.stamp, None, None, reason)
-        return Prepared(frame.index, frame.name, frame.stamp, seen, found)
+        return Prepared(frame.index, frame.name, frame.stamp, seen, found, "", levels)
 
     def step(self, prepared: Prepared) -> PoseEstimate:
         """Place one prepared frame; frames come in order, and an index that came before is refused.

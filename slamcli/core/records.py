@@ -121,6 +121,43 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class DenseLevel:
+    """One level of a view's pyramid, ready to be compared pixel by pixel.
+
+    Attributes
+    ----------
+    pixel_from_metres : (3, 3) float64
+        Robot frame to this level's pixels.
+    metres_per_pixel : float
+    image, mask : (h, w) uint8
+        The view, shrunk; 255 in the mask where all of a pixel was seen.
+    detail : (h, w) float32
+        The image without its slow brightness, which belongs to lamp and lens.
+    inside : (h, w) uint8
+        255 where the detail and its gradient are free of the mask's border.
+    points : (N, 2) float64
+        The pixels whose gradients tell most, metres, robot frame.
+    values : (N,) float64
+        Their detail.
+    gradients : (N, 2) float64
+        Of the detail, per metre.
+    shifts : (N,) float64
+        By how much a rocking camera may change their detail, one standard deviation.
+    """
+
+    pixel_from_metres: NDArray[np.float64]
+    metres_per_pixel: float
+    image: NDArray[np.uint8]
+    mask: NDArray[np.uint8]
+    detail: NDArray[np.float32]
+    inside: NDArray[np.uint8]
+    points: NDArray[np.float64]
+    values: NDArray[np.float64]
+    gradients: NDArray[np.float64]
+    shifts: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Prepared:
     """What one frame gives to the mapper: all that can be computed without any other frame.
 
@@ -133,6 +170,8 @@ class Prepared:
     features : Features or None
     reason : str
         Why the frame could not be used; empty when it could.
+    levels : tuple of DenseLevel
+        Of the view, from half resolution on.
     """
 
     index: int
@@ -141,6 +180,7 @@ class Prepared:
     view: View | None
     features: Features | None
     reason: str = ""
+    levels: tuple[DenseLevel, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

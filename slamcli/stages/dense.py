@@ -16,15 +16,18 @@ import cv2
 import numpy as np
 
 from slamcli.core.geometry import Pose2, apply_homography, invert
+from slamcli.core.records import DenseLevel
 from slamcli.stages import camera
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from slamcli.core.records import Calibration, View
 
-# Levels of the views' pyramid, coarse to fine; half scale already resolves hundredths of a pixel.
-_LEVELS = (2, 1)
+# From half the view's resolution on, which already resolves hundredths of a pixel.
+_LEVELS = 2
 _MOST_ITERATIONS = 12
 _CONVERGED_PIXELS = 0.003
 _MOST_TEMPLATE_PIXELS = 15_000
@@ -35,6 +38,7 @@ _HUBER_SIGMAS = 1.5
 _CORRELATED_PIXELS = 16.0
 _REMAP_COLUMNS = 256
 _OVERLAP_STEP = 16
+_SAMPLE_STEP = 16
 # A refinement that runs away from the fit that it started at has found something else.
 _MOST_SHIFT_PIXELS = 12.0
 
@@ -70,16 +74,6 @@ class Refinement:
     covariance: NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Template:
-    """The pixels of view a that carry information, at one pyramid level."""
-
-    points: NDArray[np.float64]
-    values: NDArray[np.float64]
-    gradients: NDArray[np.float64]
-    range_sigmas: NDArray[np.float64]
-
-
 def overlap(view_a: View, view_b: View, a_from_b: Pose2) -> float:
     """Return about which share of view b's floor view a sees too, from every 16th pixel."""
     rows, columns = np.nonzero(view_b.mask[::_OVERLAP_STEP, ::_OVERLAP_STEP])
@@ -93,23 +87,66 @@ def overlap(view_a: View, view_b: View, a_from_b: Pose2) -> float:
     return shared / max(1, len(points_b))
 
 
-def agreement(view_a: View, view_b: View, a_from_b: Pose2) -> Agreement:
-    """Correlate the overlap of two gray views, at half resolution, under ``a_from_b``."""
-    level = 1
-    image_a, mask_a = _shrink(view_a.image, view_a.mask, level)
-    image_b, mask_b = _shrink(view_b.image, view_b.mask, level)
-    b_from_a_pixel = a_from_b.inverse().matrix @ invert(_pixel_from_metres(view_a, level))
-    b_pixel_from_a_pixel = _pixel_from_metres(view_b, level) @ b_from_a_pixel
-    size = (image_a.shape[1], image_a.shape[0])
+def make_levels(
+    view: View, calibration: Calibration, tilt_sigma_radians: float
+) -> tuple[DenseLevel, ...]:
+    """Return a gray view's pyramid, from half resolution on, with what tells most at each level.
+
+    Parameters
+    ----------
+    tilt_sigma_radians : float
+        By how much the camera's pitch varies from frame to frame.
+    """
+    image, mask = view.image, view.mask
+    pixel_from_metres, scale = view.grid.pixel_from_metres, view.grid.metres_per_pixel
+    levels = []
+    for _ in range(_LEVELS):
+        # pyrDown keeps even pixels, so a level's pixel is half the one before's.
+        image = np.asarray(cv2.pyrDown(image), np.uint8)
+        mask = np.asarray(cv2.pyrDown(mask), np.uint8)
+        pixel_from_metres, scale = np.diag([0.5, 0.5, 1.0]) @ pixel_from_metres, 2.0 * scale
+        detail, inside = _detail(image, mask)
+        right, up = _gradients(detail, scale)
+        chosen = _most_telling(np.where(inside == 255, right * right + up * up, np.float32(0.0)))
+        rows, columns = np.unravel_index(chosen, detail.shape)
+        points = apply_homography(invert(pixel_from_metres), np.column_stack([columns, rows]))
+        gradients = np.column_stack([right.ravel()[chosen], up.ravel()[chosen]]).astype(np.float64)
+        along, _ = camera.line_of_sight_axes(points)
+        shifts = np.einsum("ni,ni->n", gradients, along) * camera.range_sigma(
+            calibration, points, tilt_sigma_radians
+        )
+        values = detail.ravel()[chosen].astype(np.float64)
+        levels.append(
+            DenseLevel(
+                pixel_from_metres,
+                scale,
+                image,
+                mask,
+                detail,
+                inside,
+                points,
+                values,
+                gradients,
+                shifts,
+            )
+        )
+    return tuple(levels)
+
+
+def agreement(a: DenseLevel, b: DenseLevel, a_from_b: Pose2) -> Agreement:
+    """Correlate the overlap of two views, at one level of their pyramids, under ``a_from_b``."""
+    b_from_a_pixel = a_from_b.inverse().matrix @ invert(a.pixel_from_metres)
+    b_pixel_from_a_pixel = (b.pixel_from_metres @ b_from_a_pixel)[:2]
+    size = (a.image.shape[1], a.image.shape[0])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    moved = cv2.warpAffine(image_b, b_pixel_from_a_pixel[:2], size, flags=flags)
-    seen = cv2.warpAffine(mask_b, b_pixel_from_a_pixel[:2], size, flags=flags)
-    both = (np.asarray(seen) == 255) & (mask_a == 255)
-    smaller = int(min(np.count_nonzero(mask_a == 255), np.count_nonzero(mask_b == 255)))
+    moved = cv2.warpAffine(b.image, b_pixel_from_a_pixel, size, flags=flags)
+    seen = cv2.warpAffine(b.mask, b_pixel_from_a_pixel, size, flags=flags)
+    both = (np.asarray(seen) == 255) & (a.mask == 255)
+    smaller = int(min(np.count_nonzero(a.mask == 255), np.count_nonzero(b.mask == 255)))
     shared = int(np.count_nonzero(both))
     if shared < _LEAST_TEMPLATE_PIXELS:
         return Agreement(math.nan, shared / max(1, smaller))
-    values_a = image_a[both].astype(np.float32)
+    values_a = a.image[both].astype(np.float32)
     values_b = np.asarray(moved)[both].astype(np.float32)
     values_a -= values_a.mean()
     values_b -= values_b.mean()
@@ -119,83 +156,76 @@ def agreement(view_a: View, view_b: View, a_from_b: Pose2) -> Agreement:
 
 
 def refine(
-    view_a: View,
-    view_b: View,
+    levels_a: Sequence[DenseLevel],
+    levels_b: Sequence[DenseLevel],
     a_from_b: Pose2,
     calibration: Calibration,
     tilt_sigma_radians: float,
 ) -> Refinement | None:
-    """Refine a motion on the pixels of two gray views; None when they do not determine it.
+    """Refine a motion on the pixels of two views; None when they do not determine it.
 
     Parameters
     ----------
-    view_a, view_b : View
-        Gray, of one resolution.
+    levels_a, levels_b : sequence of DenseLevel
+        From `make_levels`, of views of one resolution.
     a_from_b : Pose2
         A start within a few pixels of the truth.
     tilt_sigma_radians : float
         By how much the camera's pitch varies from frame to frame.
     """
     pose, result = a_from_b, None
-    for level in _LEVELS:
-        template = _make_template(view_a, level, calibration, tilt_sigma_radians)
-        if template is None:
+    for level_a, level_b in zip(reversed(levels_a), reversed(levels_b), strict=True):
+        if len(level_a.points) < _LEAST_TEMPLATE_PIXELS:
             return None
-        result = _refine_level(template, view_b, pose, level, calibration, tilt_sigma_radians)
+        result = _refine_level(level_a, level_b, pose, calibration, tilt_sigma_radians)
         if result is None:
             return None
         pose = result.a_from_b
     moved = (a_from_b.inverse() @ pose).translation_length
-    if moved > _MOST_SHIFT_PIXELS * view_a.grid.metres_per_pixel:
+    if moved > _MOST_SHIFT_PIXELS * levels_a[0].metres_per_pixel:
         return None
     return result
 
 
 def _refine_level(
-    template: _Template,
-    view_b: View,
+    a: DenseLevel,
+    b: DenseLevel,
     a_from_b: Pose2,
-    level: int,
     calibration: Calibration,
     tilt_sigma_radians: float,
 ) -> Refinement | None:
-    image_b, mask_b = _normalised(view_b.image, view_b.mask, level)
-    pixel_from_metres = _pixel_from_metres(view_b, level)
-    metres_per_pixel = view_b.grid.metres_per_pixel * 2**level
     pose = a_from_b
     for _ in range(_MOST_ITERATIONS):
-        points_b = pose.inverse().apply(template.points)
-        pixels_b = apply_homography(pixel_from_metres, points_b)
-        seen = _sample(mask_b, pixels_b) > 254.5
+        points_b = pose.inverse().apply(a.points)
+        pixels_b = apply_homography(b.pixel_from_metres, points_b)
+        seen = _sample(b.inside, pixels_b) > 254.5
         if np.count_nonzero(seen) < _LEAST_TEMPLATE_PIXELS:
             return None
         points, pixels = points_b[seen], pixels_b[seen]
-        values_b = _sample(image_b, pixels)
-        rotation = pose.matrix[:2, :2]
-        gradients = template.gradients[seen] @ rotation
+        values_b = _sample(b.detail, pixels)
+        gradients = a.gradients[seen] @ pose.matrix[:2, :2]
         jacobian = np.column_stack(
             [
                 -gradients[:, 0],
                 -gradients[:, 1],
                 gradients[:, 0] * points[:, 1] - gradients[:, 1] * points[:, 0],
-                template.values[seen],
+                a.values[seen],
                 np.ones(len(points)),
             ]
         )
-        residual = values_b - template.values[seen]
+        residual = values_b - a.values[seen]
         along, _ = camera.line_of_sight_axes(points)
         shift = np.einsum("ni,ni->n", gradients, along) * camera.range_sigma(
             calibration, points, tilt_sigma_radians
         )
-        model_variance = template.range_sigmas[seen] ** 2 + shift**2
-        solved = _solve(jacobian, residual, model_variance)
+        solved = _solve(jacobian, residual, a.shifts[seen] ** 2 + shift**2)
         if solved is None:
             return None
         step, covariance = solved
         pose = pose @ Pose2(float(step[0]), float(step[1]), float(step[2]))
         reach = float(np.abs(points).max())
         moved = math.hypot(step[0], step[1]) + abs(step[2]) * reach
-        if moved < _CONVERGED_PIXELS * metres_per_pixel:
+        if moved < _CONVERGED_PIXELS * b.metres_per_pixel:
             break
     return Refinement(pose, covariance)
 
@@ -222,66 +252,38 @@ def _solve(
     return np.asarray(step, np.float64), np.asarray(covariance, np.float64)
 
 
-def _make_template(
-    view: View, level: int, calibration: Calibration, tilt_sigma_radians: float
-) -> _Template | None:
-    image, mask = _normalised(view.image, view.mask, level)
-    scale = view.grid.metres_per_pixel * 2**level
-    # Scharr's kernel sums to 32 over a span of two pixels' worth of slope.
-    right = np.asarray(cv2.Scharr(image, cv2.CV_32F, 1, 0, scale=1.0 / (32.0 * scale)))
-    up = np.asarray(cv2.Scharr(image, cv2.CV_32F, 0, 1, scale=-1.0 / (32.0 * scale)))
-    strength = np.where(mask == 255, right * right + up * up, np.float32(0.0))
-    usable = int(np.count_nonzero(strength))
-    if usable < _LEAST_TEMPLATE_PIXELS:
-        return None
-    flat = strength.ravel()
-    # The strongest gradients tell most; a sample of one in 16 tells well enough which those are.
-    weaker = 1.0 - _MOST_TEMPLATE_PIXELS / flat.size
-    least = float(np.quantile(flat[::16], weaker)) if weaker > 0 else 0.0
-    chosen = np.flatnonzero(flat > least)
-    rows, columns = np.unravel_index(chosen, strength.shape)
-    metres_from_pixel = invert(_pixel_from_metres(view, level))
-    points = apply_homography(metres_from_pixel, np.column_stack([columns, rows]))
-    gradients = np.column_stack([right.ravel()[chosen], up.ravel()[chosen]]).astype(np.float64)
-    along, _ = camera.line_of_sight_axes(points)
-    range_sigmas = np.einsum("ni,ni->n", gradients, along) * camera.range_sigma(
-        calibration, points, tilt_sigma_radians
-    )
-    values = image.ravel()[chosen].astype(np.float64)
-    return _Template(points, values, gradients, range_sigmas)
-
-
-def _shrink(
-    image: NDArray[np.uint8], mask: NDArray[np.uint8], level: int
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Halve a view `level` times; only what was wholly seen stays 255 in the mask."""
-    for _ in range(level):
-        image = np.asarray(cv2.pyrDown(image), np.uint8)
-        mask = np.asarray(cv2.pyrDown(mask), np.uint8)
-    return image, mask
-
-
-def _normalised(
-    image: NDArray[np.uint8], mask: NDArray[np.uint8], level: int
+def _detail(
+    image: NDArray[np.uint8], mask: NDArray[np.uint8]
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Shrink a view and take out its slow brightness, which belongs to lamp and lens."""
-    small, small_mask = _shrink(image, mask, level)
-    inside = (small_mask == 255).astype(np.float32)
-    values = small.astype(np.float32) * inside
+    """Take out a picture's slow brightness, which belongs to lamp and lens."""
+    inside = (mask == 255).astype(np.float32)
+    values = image.astype(np.float32) * inside
     size = (_HIGH_PASS_PIXELS, _HIGH_PASS_PIXELS)
     weight = np.asarray(cv2.blur(inside, size))
     mean = np.asarray(cv2.blur(values, size)) / np.maximum(weight, np.float32(1e-3))
-    smooth = np.asarray(cv2.GaussianBlur((values - mean) * inside, (3, 3), 0))
+    detail = np.asarray(cv2.GaussianBlur((values - mean) * inside, (3, 3), 0), np.float32)
     # The outermost ring's gradient would be that of the mask, not of the floor.
-    eroded = cv2.erode(np.where(small_mask == 255, np.uint8(255), np.uint8(0)), np.ones((5, 5)))
-    return smooth, np.asarray(eroded, np.uint8)
+    eroded = cv2.erode(np.where(mask == 255, np.uint8(255), np.uint8(0)), np.ones((5, 5)))
+    return detail, np.asarray(eroded, np.uint8)
 
 
-def _pixel_from_metres(view: View, level: int) -> NDArray[np.float64]:
-    """(3, 3): robot frame to pixel of a view shrunk `level` times; pyrDown keeps even pixels."""
-    factor = 0.5**level
-    scaled: NDArray[np.float64] = np.diag([factor, factor, 1.0]) @ view.grid.pixel_from_metres
-    return scaled
+def _gradients(
+    detail: NDArray[np.float32], metres_per_pixel: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the slopes per metre along x (right) and y (up)."""
+    # Scharr's kernel sums to 32 over a span of two pixels' worth of slope.
+    scale = 1.0 / (32.0 * metres_per_pixel)
+    right = cv2.Scharr(detail, cv2.CV_32F, 1, 0, scale=scale)
+    up = cv2.Scharr(detail, cv2.CV_32F, 0, 1, scale=-scale)
+    return np.asarray(right, np.float32), np.asarray(up, np.float32)
+
+
+def _most_telling(strength: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Return flat indices of the strongest gradients, by a sample of their distribution."""
+    flat = strength.ravel()
+    weaker = 1.0 - _MOST_TEMPLATE_PIXELS / flat.size
+    least = float(np.quantile(flat[::_SAMPLE_STEP], weaker)) if weaker > 0 else 0.0
+    return np.flatnonzero(flat > least)
 
 
 def _sample(

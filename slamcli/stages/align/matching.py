@@ -95,9 +95,13 @@ def _near_guess(
     if radius is None:
         radius = _SEARCH_SIGMAS * float(np.median(b.sigmas))
     radius = radius + options.search_angle_radians * reach
-    away = a.points[:, None, :].astype(np.float64) - expected[None, :, :]
-    near: NDArray[np.bool_] = np.einsum("abi,abi->ab", away, away) <= radius**2
-    return near.astype(np.uint8)
+    # |a - e|^2 as |a|^2 + |e|^2 - 2 a.e, from the views' middle so that float32 is fine enough.
+    middle = expected.mean(axis=0)
+    places = (a.points - middle).astype(np.float32)
+    goals = (expected - middle).astype(np.float32)
+    limit = (radius**2).astype(np.float32) - np.einsum("bi,bi->b", goals, goals)
+    away = np.einsum("ai,ai->a", places, places)[:, None] - 2.0 * (places @ goals.T)
+    return np.asarray(away <= limit[None, :], np.uint8)
 
 
 def _unique(
