@@ -1,4 +1,9 @@
-"""One frame against one keyframe: what fits, and whether the pixels let it be believed."""
+"""One frame against one keyframe: what fits, and whether the pixels let it be believed.
+
+Features come first. When they are few, badly spread, or the pixels do not confirm their fit, every
+motion within reach is searched on the pixels themselves, and one is believed when it explains them
+clearly better than any other.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +11,28 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from slamcli.core.geometry import wrap_angle
 from slamcli.core.records import Link
 from slamcli.stages import align, dense
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from slamcli.core.config import MapperOptions
     from slamcli.core.geometry import Pose2
     from slamcli.core.records import Alignment, Calibration, Prepared
 
 # How far from a guess matches are looked for, as a share of how far the camera sees.
 _SEARCH_SHARE_OF_RANGE = 0.1
+# So many peaks of a search are followed up; a ridge along a line alone may hold several.
+_PEAKS = 10
+# What explains less than this share of what the best peak does, on the coarsest level, is no rival
+# on finer ones either.
+_LEAST_SHARE_OF_BEST = 0.4
+# Two motions nearer than this, in pixels of the coarsest level and in radians, are one.
+_SAME_PIXELS = 3.0
+_SAME_RADIANS = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,9 +46,14 @@ class Trial:
         What the features said.
     link : Link or None
     overlap : float
-        Share of the smaller view's floor that both see; 0 when the features gave no fit.
+        Share of the smaller view's floor that both see; 0 when nothing gave a fit.
     reason : str
         Why there is no link; empty when there is one.
+    rival : float
+        Evidence of the next best motion over that of the best, in [0, 1]; nan when the features
+        alone decided.
+    search : Search or None
+        What the pixels were asked, when they were.
     """
 
     keyframe: Prepared
@@ -40,6 +62,19 @@ class Trial:
     link: Link | None
     overlap: float = 0.0
     reason: str = ""
+    rival: float = math.nan
+    search: dense.Search | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """A motion that may become a link, and what the pixels say of it."""
+
+    pose: Pose2
+    covariance: NDArray[np.float64] | None
+    agreed: dense.Agreement
+    evidence: float
+    correlation: float
 
 
 def compare(
@@ -48,6 +83,8 @@ def compare(
     guess: Pose2 | None,
     calibration: Calibration,
     options: MapperOptions,
+    *,
+    search: bool = False,
 ) -> Trial:
     """Align a frame to a keyframe and check the fit by the pixels before it is believed.
 
@@ -57,6 +94,9 @@ def compare(
         Both with features and levels.
     guess : Pose2 or None
         ``keyframe_from_prepared`` as expected; matches are looked for near it alone.
+    search : bool
+        Search the pixels when the features do not convince. With a guess, and a frame whose
+        features do not convince, the pixels are asked about the guess alone.
     """
     assert keyframe.features is not None
     assert prepared.features is not None
@@ -65,51 +105,179 @@ def compare(
         model="rigid",
         search_radius=_SEARCH_SHARE_OF_RANGE * calibration.max_range_metres,
     )
-    fit = align.align(keyframe.features, prepared.features, matching, guess)
-    if fit.pose is None or fit.covariance is None or fit.reason:
-        return Trial(keyframe, prepared, fit, None, 0.0, f"{fit.reason} (to {keyframe.name})")
-    pose, covariance = fit.pose, fit.covariance
+    alignment = align.align(keyframe.features, prepared.features, matching, guess)
+    by_features = None
+    if alignment.pose is not None and alignment.covariance is not None and not alignment.reason:
+        by_features = _polish(
+            keyframe, prepared, alignment.pose, alignment.covariance, calibration, options
+        )
+        if not options.dense or _convincing(alignment, by_features, options):
+            doubt = _doubt(by_features, options)
+            return _trial(keyframe, prepared, alignment, by_features, doubt)
+    if not options.dense or not (search or guess is not None):
+        if by_features is None:
+            return _trial(keyframe, prepared, alignment, None, alignment.reason)
+        return _trial(keyframe, prepared, alignment, by_features, _doubt(by_features, options))
+    return _by_pixels(keyframe, prepared, guess, alignment, by_features, calibration, options)
+
+
+def _by_pixels(
+    keyframe: Prepared,
+    prepared: Prepared,
+    guess: Pose2 | None,
+    alignment: Alignment,
+    by_features: _Fit | None,
+    calibration: Calibration,
+    options: MapperOptions,
+) -> Trial:
+    """Let the pixels choose among all motions, or judge the one that is expected."""
+    starts, found = [], None
+    if guess is None:
+        window = dense.Window(angle_radians=math.radians(options.search_angle_degrees))
+        coarsest = keyframe.levels[-1], prepared.levels[-1]
+        found = dense.search(*coarsest, window, min_overlap=options.min_overlap, count=_PEAKS)
+        starts = _follow_up(keyframe, prepared, found, calibration, options)
+    else:
+        starts = [guess]
+    fits = [_polish(keyframe, prepared, start, None, calibration, options) for start in starts]
+    if by_features is not None:
+        fits.append(by_features)
+    fits = _distinct(sorted(fits, key=lambda fit: -fit.evidence), keyframe)
+    if not fits:
+        reason = alignment.reason or "the pixels show no motion"
+        return _trial(keyframe, prepared, alignment, None, reason, 1.0, found)
+    best = fits[0]
+    rival = fits[1].evidence / best.evidence if len(fits) > 1 and best.evidence > 0 else 0.0
+    doubt = _doubt(best, options)
+    if not doubt and best.correlation < options.min_dense_score:
+        doubt = (
+            f"the pixels are too unlike: correlation {best.correlation:.2f} of their detail; "
+            f"at least {options.min_dense_score:.2f} is needed"
+        )
+    if not doubt and rival > options.max_rival_evidence:
+        doubt = (
+            f"ambiguous: another motion explains {rival:.0%} of what the best one does; "
+            f"at most {options.max_rival_evidence:.0%} is believed"
+        )
+    if not doubt and best.covariance is None:
+        doubt = "the pixels do not determine the motion"
+    return _trial(keyframe, prepared, alignment, best, doubt, rival, found)
+
+
+def _follow_up(
+    keyframe: Prepared,
+    prepared: Prepared,
+    found: dense.Search,
+    calibration: Calibration,
+    options: MapperOptions,
+) -> list[Pose2]:
+    """Refine a search's peaks on its own level; return those that may be the best or its rival."""
+    tilt = math.radians(options.tilt_sigma_degrees)
+    coarse_a, coarse_b = keyframe.levels[-1:], prepared.levels[-1:]
+    peaks: list[dense.Candidate] = []
+    for peak in found.candidates:
+        if peak.evidence < _LEAST_SHARE_OF_BEST * found.candidates[0].evidence:
+            continue
+        refined = dense.refine(coarse_a, coarse_b, peak.a_from_b, calibration, tilt)
+        pose = peak.a_from_b if refined is None else refined.a_from_b
+        if not any(_same(other.a_from_b, pose, keyframe) for other in peaks):
+            peaks.append(dense.evidence(coarse_a[0], coarse_b[0], pose))
+    peaks.sort(key=lambda peak: -peak.evidence)
+    kept = [p for p in peaks if p.evidence >= _LEAST_SHARE_OF_BEST * peaks[0].evidence]
+    return [peak.a_from_b for peak in kept[: options.most_hypotheses]]
+
+
+def _polish(
+    keyframe: Prepared,
+    prepared: Prepared,
+    pose: Pose2,
+    covariance: NDArray[np.float64] | None,
+    calibration: Calibration,
+    options: MapperOptions,
+) -> _Fit:
+    """Refine a motion on the pixels, where that makes them agree better, and judge it."""
     finest = keyframe.levels[0], prepared.levels[0]
     agreed = dense.agreement(*finest, pose)
-    if options.refine:
+    # Features come within a pixel of the finest levels; what a search found starts at the coarsest.
+    levels = slice(0, 2) if covariance is not None else slice(None)
+    if options.refine or covariance is None:
         tilt = math.radians(options.tilt_sigma_degrees)
-        refined = dense.refine(keyframe.levels, prepared.levels, pose, calibration, tilt)
+        refined = dense.refine(
+            keyframe.levels[levels], prepared.levels[levels], pose, calibration, tilt
+        )
         if refined is not None:
             again = dense.agreement(*finest, refined.a_from_b)
-            if again.correlation > agreed.correlation:
+            if covariance is None or again.correlation > agreed.correlation:
                 pose, covariance, agreed = refined.a_from_b, refined.covariance, again
-    doubt = _doubt(pose, agreed, options)
-    if doubt:
-        reason = f"{doubt} (to {keyframe.name})"
-        return Trial(keyframe, prepared, fit, None, agreed.overlap, reason)
-    link = Link(
-        keyframe.index,
-        prepared.index,
-        pose,
-        covariance,
-        fit.inlier_count,
-        agreed.correlation,
-        "step",
+    judged = dense.evidence(keyframe.levels[1], prepared.levels[1], pose)
+    return _Fit(pose, covariance, agreed, judged.evidence, judged.correlation)
+
+
+def _convincing(alignment: Alignment, fit: _Fit, options: MapperOptions) -> bool:
+    """Return whether features and pixels together leave no reason to look for another motion."""
+    return (
+        alignment.inlier_count >= options.convincing_inliers
+        and fit.agreed.correlation >= options.convincing_score
     )
-    return Trial(keyframe, prepared, fit, link, agreed.overlap)
 
 
-def _doubt(pose: Pose2, agreed: dense.Agreement, options: MapperOptions) -> str:
+def _distinct(fits: list[_Fit], keyframe: Prepared) -> list[_Fit]:
+    """Return the fits without those that are the same motion as an earlier one."""
+    kept: list[_Fit] = []
+    for fit in fits:
+        if not any(_same(other.pose, fit.pose, keyframe) for other in kept):
+            kept.append(fit)
+    return kept
+
+
+def _same(first: Pose2, second: Pose2, keyframe: Prepared) -> bool:
+    apart = first.inverse() @ second
+    near = _SAME_PIXELS * keyframe.levels[-1].metres_per_pixel
+    return apart.translation_length < near and abs(wrap_angle(apart.theta)) < _SAME_RADIANS
+
+
+def _trial(
+    keyframe: Prepared,
+    prepared: Prepared,
+    alignment: Alignment,
+    fit: _Fit | None,
+    doubt: str,
+    rival: float = math.nan,
+    found: dense.Search | None = None,
+) -> Trial:
+    """Return the trial of a fit: with its link, or with why there is none."""
+    link = None
+    if fit is not None and fit.covariance is not None and not doubt:
+        link = Link(
+            keyframe.index,
+            prepared.index,
+            fit.pose,
+            fit.covariance,
+            alignment.inlier_count if math.isnan(rival) else 0,
+            fit.agreed.correlation,
+            "step",
+        )
+    overlap = 0.0 if fit is None else fit.agreed.overlap
+    reason = "" if link is not None else f"{doubt} (to {keyframe.name})"
+    return Trial(keyframe, prepared, alignment, link, overlap, reason, rival, found)
+
+
+def _doubt(fit: _Fit, options: MapperOptions) -> str:
     """Return why a fit is not plausible, or contradicted by the pixels; empty when neither."""
-    turn = abs(math.degrees(pose.theta))
+    turn = abs(math.degrees(fit.pose.theta))
     if turn > options.max_turn_degrees:
         return (
             f"the fit turns the robot by {turn:.0f} degrees; "
             f"at most {options.max_turn_degrees:.0f} are plausible"
         )
-    if agreed.overlap < options.min_overlap:
+    if fit.agreed.overlap < options.min_overlap:
         return (
-            f"the fit leaves an overlap of {agreed.overlap:.0%}; "
+            f"the fit leaves an overlap of {fit.agreed.overlap:.0%}; "
             f"at least {options.min_overlap:.0%} is needed"
         )
-    if not agreed.correlation >= options.min_score:
+    if not fit.agreed.correlation >= options.min_score:
         return (
-            f"the pixels disagree with the fit: correlation {agreed.correlation:.2f}; "
+            f"the pixels disagree with the fit: correlation {fit.agreed.correlation:.2f}; "
             f"at least {options.min_score:.2f} is needed"
         )
     return ""

@@ -1,7 +1,8 @@
 """The loop: frames in, poses out. No file, thread, clock or print.
 
 A frame is compared with the latest keyframes. A fit is believed when its features agree
-(`stages.align`) and its pixels do (`stages.dense`); a frame without a believed fit is lost, with
+(`stages.align`) and its pixels do, or when the pixels alone single it out (`stages.dense`); a
+frame without a believed fit is lost, with
 the reason. Lost frames that fit one another start a fragment, a map of their own, until a link
 ties it to an older one. `finish` weighs all links against one another.
 """
@@ -115,7 +116,7 @@ class Mapper:
         if before is not None and _same_picture(before, prepared):
             return self._repeat(before, prepared)
         found, needed = len(prepared.features), self.options.matching.min_inliers
-        if found < needed:
+        if found < needed and not self.options.dense:
             return self._lose(prepared, f"{found} features; at least {needed} are needed")
         trials = self._trials = self._compare(prepared, before)
         if any(trial.link is not None for trial in trials):
@@ -123,7 +124,7 @@ class Mapper:
         if not self._keyframes:
             return self._begin_fragment(prepared)
         if self._stray is not None:
-            trial = self._try(self._stray, prepared)
+            trial = self._try(self._stray, prepared, search=True)
             self._trials = [*trials, trial]
             if trial.link is not None:
                 stray, self._stray = self._stray, None
@@ -170,7 +171,8 @@ class Mapper:
                 guess = self._predict(believed, keyframe)
                 if guess is None or self._overlap(keyframe, prepared, guess) < least:
                     continue
-            trials.append(self._try(keyframe, prepared, guess))
+            newest = keyframe is self._keyframes[-1]
+            trials.append(self._try(keyframe, prepared, guess, search=newest))
         if any(trial.link is not None for trial in trials):
             return trials
         return trials + self._try_harder(prepared, before)
@@ -191,15 +193,22 @@ class Mapper:
             attempts.append((before, self._motion))
         trials = []
         for keyframe, guess in attempts:
-            trials.append(self._try(keyframe, prepared, guess))
+            trials.append(self._try(keyframe, prepared, guess, search=guess is None))
             if trials[-1].link is not None:
                 if keyframe is not self._keyframes[-1]:
                     self._add_keyframe(keyframe)
                 break
         return trials
 
-    def _try(self, keyframe: Prepared, prepared: Prepared, guess: Pose2 | None = None) -> Trial:
-        return compare(keyframe, prepared, guess, self.calibration, self.options)
+    def _try(
+        self,
+        keyframe: Prepared,
+        prepared: Prepared,
+        guess: Pose2 | None = None,
+        *,
+        search: bool = False,
+    ) -> Trial:
+        return compare(keyframe, prepared, guess, self.calibration, self.options, search=search)
 
     def _predict(self, believed: Trial, keyframe: Prepared) -> Pose2 | None:
         """Return ``keyframe_from_now`` by way of a believed trial; None for another fragment."""

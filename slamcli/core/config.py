@@ -171,6 +171,19 @@ class MapperOptions:
         By how much the camera's pitch varies from frame to frame, one standard deviation.
     refine : bool
         Refine each fit on the pixels themselves.
+    dense : bool
+        Search the pixels for the motion where features do not convince.
+    search_angle_degrees : float
+        Turns tried to either side by that search.
+    min_dense_score : float
+        Least correlation of the overlap's detail for what a search found to be believed.
+    max_rival_evidence : float
+        Most that another motion may explain, as a share of what the best one does.
+    most_hypotheses : int
+        So many motions of a search are followed to the finest level.
+    convincing_inliers : int
+    convincing_score : float
+        A fit with so many inliers, whose pixels correlate so well, needs no search.
     """
 
     features: FeatureOptions = field(default_factory=lambda: FeatureOptions(count=1000))
@@ -183,3 +196,10 @@ class MapperOptions:
     min_score: float = 0.3
     tilt_sigma_degrees: float = 0.05
     refine: bool = True
+    dense: bool = True
+    search_angle_degrees: float = 40.0
+    min_dense_score: float = 0.35
+    max_rival_evidence: float = 0.75
+    most_hypotheses: int = 3
+    convincing_inliers: int = 40
+    convincing_score: float = 0.5

@@ -1,0 +1,110 @@
+"""A view's pyramid, each level ready to be compared pixel by pixel."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slamcli.core.geometry import apply_homography, invert
+from slamcli.core.records import DenseLevel
+from slamcli.stages import camera
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import Calibration, View
+
+# From half the view's resolution on, which already resolves hundredths of a pixel, down to where a
+# search over every rotation and translation costs some tens of milliseconds.
+_LEAST_LEVELS = 3
+_MOST_LEVELS = 6
+_MOST_COARSEST_PIXELS = 20_000
+_MOST_TEMPLATE_PIXELS = 15_000
+_HIGH_PASS_PIXELS = 25
+_SAMPLE_STEP = 16
+
+
+def make_levels(
+    view: View, calibration: Calibration, tilt_sigma_radians: float
+) -> tuple[DenseLevel, ...]:
+    """Return a gray view's pyramid, from half resolution on, with what tells most at each level.
+
+    The last level is small enough to be searched whole.
+
+    Parameters
+    ----------
+    tilt_sigma_radians : float
+        By how much the camera's pitch varies from frame to frame.
+    """
+    image, mask = view.image, view.mask
+    pixel_from_metres, scale = view.grid.pixel_from_metres, view.grid.metres_per_pixel
+    levels: list[DenseLevel] = []
+    while len(levels) < _MOST_LEVELS and (
+        len(levels) < _LEAST_LEVELS or np.count_nonzero(mask == 255) > _MOST_COARSEST_PIXELS
+    ):
+        # pyrDown keeps even pixels, so a level's pixel is half the one before's.
+        image = np.asarray(cv2.pyrDown(image), np.uint8)
+        mask = np.asarray(cv2.pyrDown(mask), np.uint8)
+        pixel_from_metres, scale = np.diag([0.5, 0.5, 1.0]) @ pixel_from_metres, 2.0 * scale
+        detail, inside = _detail(image, mask)
+        right, up = _gradients(detail, scale)
+        chosen = _most_telling(np.where(inside == 255, right * right + up * up, np.float32(0.0)))
+        rows, columns = np.unravel_index(chosen, detail.shape)
+        points = apply_homography(invert(pixel_from_metres), np.column_stack([columns, rows]))
+        gradients = np.column_stack([right.ravel()[chosen], up.ravel()[chosen]]).astype(np.float64)
+        along, _ = camera.line_of_sight_axes(points)
+        shifts = np.einsum("ni,ni->n", gradients, along) * camera.range_sigma(
+            calibration, points, tilt_sigma_radians
+        )
+        values = detail.ravel()[chosen].astype(np.float64)
+        levels.append(
+            DenseLevel(
+                pixel_from_metres,
+                scale,
+                image,
+                mask,
+                detail,
+                inside,
+                points,
+                values,
+                gradients,
+                shifts,
+            )
+        )
+    return tuple(levels)
+
+
+def _detail(
+    image: NDArray[np.uint8], mask: NDArray[np.uint8]
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Take out a picture's slow brightness, which belongs to lamp and lens."""
+    inside = (mask == 255).astype(np.float32)
+    values = image.astype(np.float32) * inside
+    size = (_HIGH_PASS_PIXELS, _HIGH_PASS_PIXELS)
+    weight = np.asarray(cv2.blur(inside, size))
+    mean = np.asarray(cv2.blur(values, size)) / np.maximum(weight, np.float32(1e-3))
+    detail = np.asarray(cv2.GaussianBlur((values - mean) * inside, (3, 3), 0), np.float32)
+    # The outermost ring's gradient would be that of the mask, not of the floor.
+    eroded = cv2.erode(np.where(mask == 255, np.uint8(255), np.uint8(0)), np.ones((5, 5)))
+    return detail, np.asarray(eroded, np.uint8)
+
+
+def _gradients(
+    detail: NDArray[np.float32], metres_per_pixel: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the slopes per metre along x (right) and y (up)."""
+    # Scharr's kernel sums to 32 over a span of two pixels' worth of slope.
+    scale = 1.0 / (32.0 * metres_per_pixel)
+    right = cv2.Scharr(detail, cv2.CV_32F, 1, 0, scale=scale)
+    up = cv2.Scharr(detail, cv2.CV_32F, 0, 1, scale=-scale)
+    return np.asarray(right, np.float32), np.asarray(up, np.float32)
+
+
+def _most_telling(strength: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Return flat indices of the strongest gradients, by a sample of their distribution."""
+    flat = strength.ravel()
+    weaker = 1.0 - _MOST_TEMPLATE_PIXELS / flat.size
+    least = float(np.quantile(flat[::_SAMPLE_STEP], weaker)) if weaker > 0 else 0.0
+    return np.flatnonzero(flat > least)

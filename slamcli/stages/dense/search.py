@@ -1,0 +1,286 @@
+"""Every rotation and translation of one view over another, scored by what the pixels say.
+
+Masked normalised cross-correlation by fast Fourier transforms (Padfield, IEEE Transactions on Image
+Processing 21, 2012), a rotation at a time, on pictures whose local mean and contrast are taken out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from scipy import fft
+
+from slamcli.core.geometry import Pose2, apply_homography, invert
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import DenseLevel
+
+_STEP_RADIANS = math.radians(4.0)
+_CONTRAST_PIXELS = 5.0
+# What is flatter than this is noise; its contrast is not to be raised to that of a line.
+_NOISE_GRAY = 1.0
+_NOISE_SHARE = 0.3
+# An overlap in which hardly anything is to be seen correlates by chance: this share of the whole
+# picture's contrast is added to each overlap's.
+_SEARCH_CONTRAST_PRIOR = 0.1
+_CONTRAST_PRIOR = 0.02
+_HIGHEST_CORRELATION = 0.999
+_LEAST_PIXELS = 64.0
+# Peaks nearer than this to a higher one belong to it.
+_PEAK_PIXELS = 4
+_PEAK_STEPS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Where to search.
+
+    Attributes
+    ----------
+    centre : Pose2
+        The middle of the motions ``a_from_b`` that are tried.
+    angle_radians : float
+        Headings tried to either side.
+    radius_metres : float
+        Translations tried all round, of the middle of what b saw; inf: all.
+    """
+
+    centre: Pose2 = field(default_factory=Pose2)
+    angle_radians: float = math.radians(40.0)
+    radius_metres: float = math.inf
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One motion that the pixels speak for.
+
+    Attributes
+    ----------
+    a_from_b : Pose2
+    correlation : float
+        Of the overlap, in [-1, 1].
+    overlap : float
+        Share of the smaller view that both see.
+    evidence : float
+        Minus the logarithm of what the motion leaves unexplained, times the overlap's pixels.
+    """
+
+    a_from_b: Pose2
+    correlation: float
+    overlap: float
+    evidence: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Search:
+    """What a search found.
+
+    Attributes
+    ----------
+    candidates : tuple of Candidate
+        Peaks of the evidence, highest first.
+    surface : (h, w) float32
+        The best correlation over all headings, by translation: right along x, up along y.
+    metres_per_pixel : float
+        Of the surface, whose middle is the window's centre.
+    """
+
+    candidates: tuple[Candidate, ...]
+    surface: NDArray[np.float32]
+    metres_per_pixel: float
+
+
+def search(
+    a: DenseLevel, b: DenseLevel, window: Window, *, min_overlap: float, count: int = 6
+) -> Search:
+    """Return the motions that best lay view b on view a.
+
+    Parameters
+    ----------
+    a, b : DenseLevel
+        The coarsest levels of two views of one grid.
+    window : Window
+    min_overlap : float
+        Least share of the smaller view that both must see.
+    count : int
+        Most candidates.
+    """
+    values_a, weight_a = _normalised(a)
+    values_b, weight_b = _normalised(b)
+    seen = min(float(weight_a.sum()), float(weight_b.sum()))
+    least = max(min_overlap * seen, _LEAST_PIXELS)
+    middle = _middle_of(weight_b)
+    height, width = values_a.shape
+    shape = (
+        fft.next_fast_len(height + values_b.shape[0], real=True),
+        fft.next_fast_len(width + values_b.shape[1], real=True),
+    )
+    first = _transforms(values_a, weight_a, shape)
+    energy = _energy(values_a, weight_a), _energy(values_b, weight_b)
+    allowed = _allowed(a, window, middle, shape)
+    steps = math.ceil(window.angle_radians / _STEP_RADIANS)
+    rotations, correlations, shared = [], [], []
+    for step in range(-steps, steps + 1):
+        turn = window.centre.theta + step * _STEP_RADIANS
+        rotation = np.asarray(cv2.getRotationMatrix2D(middle, math.degrees(turn), 1.0), np.float64)
+        size = (values_b.shape[1], values_b.shape[0])
+        turned = np.asarray(cv2.warpAffine(values_b, rotation, size), np.float32)
+        weight = np.asarray(cv2.warpAffine(weight_b, rotation, size), np.float32)
+        correlation, pixels = _correlate(first, _transforms(turned, weight, shape), energy, shape)
+        correlation[(pixels < least) | ~allowed] = 0.0
+        rotations.append(rotation)
+        correlations.append(correlation)
+        shared.append(pixels)
+    stack, pixels = np.stack(correlations), np.stack(shared)
+    found = []
+    for angle, row, column in _peaks(_evidence(stack, pixels), count):
+        pose = _pose(a, rotations[angle], row, column, shape)
+        value, area = float(stack[angle, row, column]), float(pixels[angle, row, column])
+        found.append(Candidate(pose, value, area / seen, float(_evidence(value, area))))
+    surface = np.fft.fftshift(stack.max(axis=0))
+    return Search(tuple(found), np.asarray(surface, np.float32), a.metres_per_pixel)
+
+
+def evidence(a: DenseLevel, b: DenseLevel, a_from_b: Pose2) -> Candidate:
+    """Return how the pixels of two views speak for one motion, on the scale of `search`."""
+    values_a, weight_a = _normalised(a)
+    values_b, weight_b = _normalised(b)
+    b_from_a_pixel = a_from_b.inverse().matrix @ invert(a.pixel_from_metres)
+    mapping = (b.pixel_from_metres @ b_from_a_pixel)[:2]
+    size = (values_a.shape[1], values_a.shape[0])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    moved = np.asarray(cv2.warpAffine(values_b, mapping, size, flags=flags))
+    weight = np.asarray(cv2.warpAffine(weight_b, mapping, size, flags=flags)) * weight_a
+    pixels = float(weight.sum())
+    seen = min(float(weight_a.sum()), float(weight_b.sum()))
+    if pixels < _LEAST_PIXELS:
+        return Candidate(a_from_b, 0.0, pixels / max(seen, 1.0), 0.0)
+    product = float(np.sum(weight * values_a * moved))
+    norm_a = float(np.sum(weight * values_a**2)) + _CONTRAST_PRIOR * pixels * _energy(
+        values_a, weight_a
+    )
+    norm_b = float(np.sum(weight * moved**2)) + _CONTRAST_PRIOR * pixels * _energy(
+        values_b, weight_b
+    )
+    value = product / math.sqrt(norm_a * norm_b) if norm_a * norm_b > 0 else 0.0
+    return Candidate(a_from_b, value, pixels / seen, float(_evidence(value, pixels)))
+
+
+def _normalised(level: DenseLevel) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return a level with its local contrast evened out, and where it is seen (0 or 1)."""
+    weight = (level.inside == 255).astype(np.float32)
+    detail = level.detail * weight
+    side = (0, 0)
+    near = np.maximum(cv2.GaussianBlur(weight, side, _CONTRAST_PIXELS), np.float32(1e-3))
+    variance = cv2.GaussianBlur(detail * detail, side, _CONTRAST_PIXELS) / near
+    overall = math.sqrt(_energy(detail, weight))
+    floor = np.float32((_NOISE_GRAY + _NOISE_SHARE * overall) ** 2)
+    return np.asarray(detail / np.sqrt(variance + floor), np.float32), weight
+
+
+def _energy(values: NDArray[np.float32], weight: NDArray[np.float32]) -> float:
+    return float(np.sum(weight * values * values)) / max(float(weight.sum()), 1.0)
+
+
+def _middle_of(weight: NDArray[np.float32]) -> tuple[float, float]:
+    """Return the (column, row) about which what was seen turns without leaving its frame."""
+    rows, columns = np.nonzero(weight)
+    if len(rows) == 0:
+        return 0.0, 0.0
+    return float(columns.min() + columns.max()) / 2, float(rows.min() + rows.max()) / 2
+
+
+def _transforms(
+    values: NDArray[np.float32], weight: NDArray[np.float32], shape: tuple[int, int]
+) -> tuple[NDArray[np.complex64], NDArray[np.complex64], NDArray[np.complex64]]:
+    """Return the spectra of a picture, of its square, and of where it is seen."""
+    weighted = values * weight
+    return (
+        fft.rfft2(weighted, shape),
+        fft.rfft2(weighted * values, shape),
+        fft.rfft2(weight, shape),
+    )
+
+
+def _correlate(
+    first: tuple[NDArray[np.complex64], ...],
+    second: tuple[NDArray[np.complex64], ...],
+    energy: tuple[float, float],
+    shape: tuple[int, int],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the correlation and the shared pixels at every translation of the second picture."""
+    values, squares, seen = (np.conj(spectrum) for spectrum in second)
+    product = fft.irfft2(first[0] * values, shape)
+    pixels = np.maximum(fft.irfft2(first[2] * seen, shape), np.float32(1e-3))
+    norm_a = np.maximum(fft.irfft2(first[1] * seen, shape), 0)
+    norm_b = np.maximum(fft.irfft2(first[2] * squares, shape), 0)
+    norm_a += np.float32(_SEARCH_CONTRAST_PRIOR * energy[0]) * pixels
+    norm_b += np.float32(_SEARCH_CONTRAST_PRIOR * energy[1]) * pixels
+    correlation = product / np.sqrt(np.maximum(norm_a * norm_b, np.float32(1e-12)))
+    return np.asarray(correlation, np.float32), np.asarray(pixels, np.float32)
+
+
+def _evidence(
+    correlation: float | NDArray[np.float32], pixels: float | NDArray[np.float32]
+) -> NDArray[np.float64]:
+    """Return ``-n log(1 - r^2)``: twice the log likelihood ratio to unrelated pictures."""
+    bounded = np.clip(correlation, 0.0, _HIGHEST_CORRELATION)
+    return np.asarray(-np.log1p(-(bounded**2)) * pixels)
+
+
+def _allowed(
+    a: DenseLevel, window: Window, middle: tuple[float, float], shape: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """Return which translations of the middle of b's view lie within the window."""
+    if math.isinf(window.radius_metres):
+        return np.ones(shape, np.bool_)
+    seen = apply_homography(invert(a.pixel_from_metres), np.array([middle]))
+    there = apply_homography(a.pixel_from_metres, window.centre.apply(seen))[0]
+    rows = _signed(np.arange(shape[0]), shape[0])[:, None] - (there[1] - middle[1])
+    columns = _signed(np.arange(shape[1]), shape[1])[None, :] - (there[0] - middle[0])
+    inside: NDArray[np.bool_] = np.hypot(rows, columns) <= window.radius_metres / a.metres_per_pixel
+    return inside
+
+
+def _signed(shift: NDArray[np.int64], length: int) -> NDArray[np.int64]:
+    """Return cyclic shifts as signed ones."""
+    return np.where(shift < length - length // 2, shift, shift - length)
+
+
+def _peaks(evidence_of: NDArray[np.float64], count: int) -> list[tuple[int, int, int]]:
+    """Return (angle, row, column) of the highest values that are not each other's neighbours."""
+    rest = evidence_of.copy()
+    angles, height, width = rest.shape
+    around = np.arange(-_PEAK_PIXELS, _PEAK_PIXELS + 1)
+    peaks = []
+    for _ in range(count):
+        angle, row, column = (int(i) for i in np.unravel_index(int(rest.argmax()), rest.shape))
+        if not rest[angle, row, column] > 0:
+            break
+        peaks.append((angle, row, column))
+        near = np.arange(max(0, angle - _PEAK_STEPS), min(angles, angle + _PEAK_STEPS + 1))
+        rest[np.ix_(near, (row + around) % height, (column + around) % width)] = 0.0
+    return peaks
+
+
+def _pose(
+    a: DenseLevel,
+    rotation: NDArray[np.float64],
+    row: int,
+    column: int,
+    shape: tuple[int, int],
+) -> Pose2:
+    """Return ``a_from_b`` of a picture turned by `rotation` and shifted."""
+    shift = np.eye(3)
+    shift[0, 2] = float(_signed(np.array(column), shape[1]))
+    shift[1, 2] = float(_signed(np.array(row), shape[0]))
+    a_pixel_from_b_pixel = shift @ np.vstack([rotation, [0.0, 0.0, 1.0]])
+    return Pose2.from_matrix(
+        invert(a.pixel_from_metres) @ a_pixel_from_b_pixel @ a.pixel_from_metres
+    )
