@@ -84,7 +84,7 @@ def compare(
     calibration: Calibration,
     options: MapperOptions,
     *,
-    search: bool = False,
+    window: dense.Window | None = None,
 ) -> Trial:
     """Align a frame to a keyframe and check the fit by the pixels before it is believed.
 
@@ -94,9 +94,9 @@ def compare(
         Both with features and levels.
     guess : Pose2 or None
         ``keyframe_from_prepared`` as expected; matches are looked for near it alone.
-    search : bool
-        Search the pixels when the features do not convince. With a guess, and a frame whose
-        features do not convince, the pixels are asked about the guess alone.
+    window : Window or None
+        Where the pixels are searched when the features do not convince; nowhere when it is None.
+        Given a guess they are asked about that alone.
     """
     assert keyframe.features is not None
     assert prepared.features is not None
@@ -114,34 +114,32 @@ def compare(
         if not options.dense or _convincing(alignment, by_features, options):
             doubt = _doubt(by_features, options)
             return _trial(keyframe, prepared, alignment, by_features, doubt)
-    if not options.dense or not (search or guess is not None):
-        if by_features is None:
-            return _trial(keyframe, prepared, alignment, None, alignment.reason)
-        return _trial(keyframe, prepared, alignment, by_features, _doubt(by_features, options))
-    return _by_pixels(keyframe, prepared, guess, alignment, by_features, calibration, options)
-
-
-def _by_pixels(
-    keyframe: Prepared,
-    prepared: Prepared,
-    guess: Pose2 | None,
-    alignment: Alignment,
-    by_features: _Fit | None,
-    calibration: Calibration,
-    options: MapperOptions,
-) -> Trial:
-    """Let the pixels choose among all motions, or judge the one that is expected."""
-    starts, found = [], None
-    if guess is None:
-        window = dense.Window(angle_radians=math.radians(options.search_angle_degrees))
+    if not options.dense or (window is None and guess is None):
+        doubt = alignment.reason or (
+            f"{alignment.inlier_count} inliers do not convince; "
+            f"{options.convincing_inliers} do where the pixels agree"
+        )
+        return _trial(keyframe, prepared, alignment, by_features, doubt)
+    starts, found = [guess] if guess is not None else [], None
+    if guess is None and window is not None:
         coarsest = keyframe.levels[-1], prepared.levels[-1]
         found = dense.search(*coarsest, window, min_overlap=options.min_overlap, count=_PEAKS)
         starts = _follow_up(keyframe, prepared, found, calibration, options)
-    else:
-        starts = [guess]
     fits = [_polish(keyframe, prepared, start, None, calibration, options) for start in starts]
     if by_features is not None:
         fits.append(by_features)
+    return _choose(keyframe, prepared, alignment, fits, found, options)
+
+
+def _choose(
+    keyframe: Prepared,
+    prepared: Prepared,
+    alignment: Alignment,
+    fits: list[_Fit],
+    found: dense.Search | None,
+    options: MapperOptions,
+) -> Trial:
+    """Believe the motion that explains the pixels best, if it does so well and alone."""
     fits = _distinct(sorted(fits, key=lambda fit: -fit.evidence), keyframe)
     if not fits:
         reason = alignment.reason or "the pixels show no motion"

@@ -2,9 +2,8 @@
 
 A frame is compared with the latest keyframes. A fit is believed when its features agree
 (`stages.align`) and its pixels do, or when the pixels alone single it out (`stages.dense`); a
-frame without a believed fit is lost, with
-the reason. Lost frames that fit one another start a fragment, a map of their own, until a link
-ties it to an older one. `finish` weighs all links against one another.
+frame without a believed fit is lost, with the reason. Lost frames that fit one another start a
+fragment, a map of their own, until a link ties it to an older one. `finish` weighs all links against one another.
 """
 
 from __future__ import annotations
@@ -55,6 +54,7 @@ class Mapper:
         self._keyframes: list[Prepared] = []
         self._latest: Prepared | None = None
         self._motion: Pose2 | None = None
+        self._moved_at = 0
         self._stray: Prepared | None = None
         self._trials: list[Trial] = []
         self._links: list[Link] = []
@@ -124,7 +124,7 @@ class Mapper:
         if not self._keyframes:
             return self._begin_fragment(prepared)
         if self._stray is not None:
-            trial = self._try(self._stray, prepared, search=True)
+            trial = self._try(self._stray, prepared, window=self._window(None, None, prepared))
             self._trials = [*trials, trial]
             if trial.link is not None:
                 stray, self._stray = self._stray, None
@@ -157,8 +157,8 @@ class Mapper:
     def _compare(self, prepared: Prepared, before: Prepared | None) -> list[Trial]:
         """Try the latest keyframes, newest first: all that overlap once one has been believed.
 
-        When none is, the frame before is tried, and at last both again near to where the robot's
-        latest motion would have brought it: there descriptors compete with fewer others.
+        When none is, the frame before is tried, on its pixels too, and at last near to where the
+        robot's latest motion would have brought it: there descriptors compete with fewer others.
         """
         trials: list[Trial] = []
         least = self.options.min_overlap
@@ -171,8 +171,7 @@ class Mapper:
                 guess = self._predict(believed, keyframe)
                 if guess is None or self._overlap(keyframe, prepared, guess) < least:
                     continue
-            newest = keyframe is self._keyframes[-1]
-            trials.append(self._try(keyframe, prepared, guess, search=newest))
+            trials.append(self._try(keyframe, prepared, guess))
         if any(trial.link is not None for trial in trials):
             return trials
         return trials + self._try_harder(prepared, before)
@@ -183,22 +182,51 @@ class Mapper:
         return dense.overlap(keyframe.view, prepared.view, guess)
 
     def _try_harder(self, prepared: Prepared, before: Prepared | None) -> list[Trial]:
-        """Compare with the frame before, then with a guess; stop at the first believed fit."""
-        if before is None or self._estimates[before.index].map_from_robot is None:
+        """Search the pixels of the latest placed frame; then try a guess; stop when one fits."""
+        if not self._keyframes:
             return []
-        attempts: list[tuple[Prepared, Pose2 | None]] = []
-        if before is not self._keyframes[-1]:
-            attempts.append((before, None))
-        if self._motion is not None:
-            attempts.append((before, self._motion))
+        recent = self._keyframes[-1]
+        if before is not None and self._estimates[before.index].map_from_robot is not None:
+            recent = before
+        attempts: list[tuple[Pose2 | None, dense.Window | None]] = []
+        if self.options.dense or recent is not self._keyframes[-1]:
+            attempts.append((None, self._window(recent, before, prepared)))
+        if self._motion is not None and recent is before:
+            attempts.append((self._motion, None))
         trials = []
-        for keyframe, guess in attempts:
-            trials.append(self._try(keyframe, prepared, guess, search=guess is None))
+        for guess, window in attempts:
+            trials.append(self._try(recent, prepared, guess, window=window))
             if trials[-1].link is not None:
-                if keyframe is not self._keyframes[-1]:
-                    self._add_keyframe(keyframe)
+                if recent is not self._keyframes[-1]:
+                    self._add_keyframe(recent)
                 break
         return trials
+
+    def _window(
+        self, keyframe: Prepared | None, before: Prepared | None, prepared: Prepared
+    ) -> dense.Window:
+        """Return where a frame may lie for a keyframe: near where it was heading, if that is known.
+
+        A floor that repeats shows the same again a little further on, where no robot can have come
+        to in so short a time.
+        """
+        angle = math.radians(self.options.search_angle_degrees)
+        if keyframe is None or self._motion is None:
+            return dense.Window(angle_radians=angle)
+        steps = prepared.index - self._moved_at
+        heading_for = self._motion_from(keyframe)
+        for _ in range(steps):
+            heading_for = heading_for @ self._motion
+        reach = self.options.search_share_of_range * self.calibration.max_range_metres
+        return dense.Window(heading_for, angle, steps * (reach + self._motion.translation_length))
+
+    def _motion_from(self, keyframe: Prepared) -> Pose2:
+        """Return ``keyframe_from_latest`` of the frame whose motion is the latest known."""
+        latest = self._estimates[self._moved_at].map_from_robot
+        known = self._estimates[keyframe.index].map_from_robot
+        assert latest is not None
+        assert known is not None
+        return known.inverse() @ latest
 
     def _try(
         self,
@@ -206,9 +234,9 @@ class Mapper:
         prepared: Prepared,
         guess: Pose2 | None = None,
         *,
-        search: bool = False,
+        window: dense.Window | None = None,
     ) -> Trial:
-        return compare(keyframe, prepared, guess, self.calibration, self.options, search=search)
+        return compare(keyframe, prepared, guess, self.calibration, self.options, window=window)
 
     def _predict(self, believed: Trial, keyframe: Prepared) -> Pose2 | None:
         """Return ``keyframe_from_now`` by way of a believed trial; None for another fragment."""
@@ -249,6 +277,7 @@ class Mapper:
             assert before.map_from_robot is not None
             assert estimate.map_from_robot is not None
             self._motion = before.map_from_robot.inverse() @ estimate.map_from_robot
+            self._moved_at = prepared.index
         self._estimates[prepared.index] = estimate
         self._stray = None
         if max(trial.overlap for trial in believed) < self.options.keyframe_overlap:

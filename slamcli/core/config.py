@@ -175,6 +175,9 @@ class MapperOptions:
         Search the pixels for the motion where features do not convince.
     search_angle_degrees : float
         Turns tried to either side by that search.
+    search_share_of_range : float
+        How far around the motion that the robot's latest one foretells it looks, as a share of how
+        far the camera sees.
     min_dense_score : float
         Least correlation of the overlap's detail for what a search found to be believed.
     max_rival_evidence : float
@@ -198,6 +201,7 @@ class MapperOptions:
     refine: bool = True
     dense: bool = True
     search_angle_degrees: float = 40.0
+    search_share_of_range: float = 0.25
     min_dense_score: float = 0.35
     max_rival_evidence: float = 0.75
     most_hypotheses: int = 3
