@@ -129,13 +129,13 @@ def measure(count: int) -> list[tuple[str, float, float]]:
 
     tilt = math.radians(options.tilt_sigma_degrees)
     poses = [fit.pose or Pose2(STEP_METRES) for fit in fits]
-    make = median_milliseconds(lambda i: dense.make_levels(views[i], calibration, tilt), count)
-    levels = [dense.make_levels(one, calibration, tilt) for one in views]
+    make = median_milliseconds(lambda i: dense.make_levels(views[i]), count)
+    levels = [dense.make_levels(one) for one in views]
     agree = median_milliseconds(
-        lambda i: dense.agreement(levels[i][0], levels[i + 1][0], poses[i]), count - 1
+        lambda i: dense.agreement(levels[i][0], levels[i + 1][0], poses[i].matrix), count - 1
     )
     refine = median_milliseconds(
-        lambda i: dense.refine(levels[i], levels[i + 1], poses[i], calibration, tilt), count - 1
+        lambda i: dense.refine(levels[i][:2], levels[i + 1][:2], poses[i], calibration, tilt), count - 1
     )
 
     painter = Painter(calibration, camera.default_metres_per_pixel(calibration))

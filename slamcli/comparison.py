@@ -177,9 +177,11 @@ def _follow_up(
         if peak.evidence < _LEAST_SHARE_OF_BEST * found.candidates[0].evidence:
             continue
         refined = dense.refine(coarse_a, coarse_b, peak.a_from_b, calibration, tilt)
-        pose = peak.a_from_b if refined is None else refined.a_from_b
+        pose, shown = peak.a_from_b, peak.a_from_b.matrix
+        if refined is not None:
+            pose, shown = refined.a_from_b, refined.view_a_from_view_b
         if not any(_same(other.a_from_b, pose, keyframe) for other in peaks):
-            peaks.append(dense.evidence(coarse_a[0], coarse_b[0], pose))
+            peaks.append(dense.evidence(coarse_a[0], coarse_b[0], pose, shown))
     peaks.sort(key=lambda peak: -peak.evidence)
     kept = [p for p in peaks if p.evidence >= _LEAST_SHARE_OF_BEST * peaks[0].evidence]
     return [peak.a_from_b for peak in kept[: options.most_hypotheses]]
@@ -195,7 +197,8 @@ def _polish(
 ) -> _Fit:
     """Refine a motion on the pixels, where that makes them agree better, and judge it."""
     finest = keyframe.levels[0], prepared.levels[0]
-    agreed = dense.agreement(*finest, pose)
+    shown = pose.matrix
+    agreed = dense.agreement(*finest, shown)
     # Features come within a pixel of the finest levels; what a search found starts at the coarsest.
     levels = slice(0, 2) if covariance is not None else slice(None)
     if options.refine or covariance is None:
@@ -204,10 +207,11 @@ def _polish(
             keyframe.levels[levels], prepared.levels[levels], pose, calibration, tilt
         )
         if refined is not None:
-            again = dense.agreement(*finest, refined.a_from_b)
+            again = dense.agreement(*finest, refined.view_a_from_view_b)
             if covariance is None or again.correlation > agreed.correlation:
                 pose, covariance, agreed = refined.a_from_b, refined.covariance, again
-    judged = dense.evidence(keyframe.levels[1], prepared.levels[1], pose)
+                shown = refined.view_a_from_view_b
+    judged = dense.evidence(keyframe.levels[1], prepared.levels[1], pose, shown)
     return _Fit(pose, covariance, agreed, judged.evidence, judged.correlation)
 
 

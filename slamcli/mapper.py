@@ -3,7 +3,8 @@
 A frame is compared with the latest keyframes. A fit is believed when its features agree
 (`stages.align`) and its pixels do, or when the pixels alone single it out (`stages.dense`); a
 frame without a believed fit is lost, with the reason. Lost frames that fit one another start a
-fragment, a map of their own, until a link ties it to an older one. `finish` weighs all links against one another.
+fragment, a map of their own, until a link ties it to an older one. `finish` weighs all links
+against one another.
 """
 
 from __future__ import annotations
@@ -94,7 +95,7 @@ class Mapper:
             seen = view.make_view(frame, self._resampler, gray=True)
             view.check_view(seen)
             found = features.extract(seen, self.calibration, self.options.features, self._tilt)
-            levels = dense.make_levels(seen, self.calibration, self._tilt)
+            levels = dense.make_levels(seen)
         except FrameError as error:
             return Prepared(frame.index, frame.name, frame.stamp, None, None, str(error))
         except (cv2.error, ValueError, TypeError) as error:
@@ -124,7 +125,7 @@ class Mapper:
         if not self._keyframes:
             return self._begin_fragment(prepared)
         if self._stray is not None:
-            trial = self._try(self._stray, prepared, window=self._window(None, None, prepared))
+            trial = self._try(self._stray, prepared, window=self._window(None, prepared))
             self._trials = [*trials, trial]
             if trial.link is not None:
                 stray, self._stray = self._stray, None
@@ -190,7 +191,7 @@ class Mapper:
             recent = before
         attempts: list[tuple[Pose2 | None, dense.Window | None]] = []
         if self.options.dense or recent is not self._keyframes[-1]:
-            attempts.append((None, self._window(recent, before, prepared)))
+            attempts.append((None, self._window(recent, prepared)))
         if self._motion is not None and recent is before:
             attempts.append((self._motion, None))
         trials = []
@@ -202,9 +203,7 @@ class Mapper:
                 break
         return trials
 
-    def _window(
-        self, keyframe: Prepared | None, before: Prepared | None, prepared: Prepared
-    ) -> dense.Window:
+    def _window(self, keyframe: Prepared | None, prepared: Prepared) -> dense.Window:
         """Return where a frame may lie for a keyframe: near where it was heading, if that is known.
 
         A floor that repeats shows the same again a little further on, where no robot can have come

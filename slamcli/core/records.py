@@ -141,8 +141,6 @@ class DenseLevel:
         Their detail.
     gradients : (N, 2) float64
         Of the detail, per metre.
-    shifts : (N,) float64
-        By how much a rocking camera may change their detail, one standard deviation.
     """
 
     pixel_from_metres: NDArray[np.float64]
@@ -154,7 +152,6 @@ class DenseLevel:
     points: NDArray[np.float64]
     values: NDArray[np.float64]
     gradients: NDArray[np.float64]
-    shifts: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

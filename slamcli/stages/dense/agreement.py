@@ -12,6 +12,8 @@ import numpy as np
 from slamcli.core.geometry import apply_homography, invert
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from slamcli.core.geometry import Pose2
     from slamcli.core.records import DenseLevel, View
 
@@ -48,14 +50,21 @@ def overlap(view_a: View, view_b: View, a_from_b: Pose2) -> float:
     return shared / max(1, len(points_b))
 
 
-def agreement(a: DenseLevel, b: DenseLevel, a_from_b: Pose2) -> Agreement:
-    """Correlate the overlap of two views, at one level of their pyramids, under ``a_from_b``."""
-    b_from_a_pixel = a_from_b.inverse().matrix @ invert(a.pixel_from_metres)
-    b_pixel_from_a_pixel = (b.pixel_from_metres @ b_from_a_pixel)[:2]
+def agreement(a: DenseLevel, b: DenseLevel, view_a_from_view_b: NDArray[np.float64]) -> Agreement:
+    """Correlate the overlap of two views, at one level of their pyramids.
+
+    Parameters
+    ----------
+    a, b : DenseLevel
+    view_a_from_view_b : (3, 3) float64
+        Metres to metres: a motion, or a `Refinement`'s.
+    """
+    b_from_a_pixel = invert(view_a_from_view_b) @ invert(a.pixel_from_metres)
+    b_pixel_from_a_pixel = b.pixel_from_metres @ b_from_a_pixel
     size = (a.image.shape[1], a.image.shape[0])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    moved = cv2.warpAffine(b.image, b_pixel_from_a_pixel, size, flags=flags)
-    seen = cv2.warpAffine(b.mask, b_pixel_from_a_pixel, size, flags=flags)
+    moved = cv2.warpPerspective(b.image, b_pixel_from_a_pixel, size, flags=flags)
+    seen = cv2.warpPerspective(b.mask, b_pixel_from_a_pixel, size, flags=flags)
     both = (np.asarray(seen) == 255) & (a.mask == 255)
     smaller = int(min(np.count_nonzero(a.mask == 255), np.count_nonzero(b.mask == 255)))
     shared = int(np.count_nonzero(both))

@@ -9,12 +9,11 @@ import numpy as np
 
 from slamcli.core.geometry import apply_homography, invert
 from slamcli.core.records import DenseLevel
-from slamcli.stages import camera
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from slamcli.core.records import Calibration, View
+    from slamcli.core.records import View
 
 # From half the view's resolution on, which already resolves hundredths of a pixel, down to where a
 # search over every rotation and translation costs some tens of milliseconds.
@@ -26,17 +25,10 @@ _HIGH_PASS_PIXELS = 25
 _SAMPLE_STEP = 16
 
 
-def make_levels(
-    view: View, calibration: Calibration, tilt_sigma_radians: float
-) -> tuple[DenseLevel, ...]:
+def make_levels(view: View) -> tuple[DenseLevel, ...]:
     """Return a gray view's pyramid, from half resolution on, with what tells most at each level.
 
     The last level is small enough to be searched whole.
-
-    Parameters
-    ----------
-    tilt_sigma_radians : float
-        By how much the camera's pitch varies from frame to frame.
     """
     image, mask = view.image, view.mask
     pixel_from_metres, scale = view.grid.pixel_from_metres, view.grid.metres_per_pixel
@@ -54,10 +46,6 @@ def make_levels(
         rows, columns = np.unravel_index(chosen, detail.shape)
         points = apply_homography(invert(pixel_from_metres), np.column_stack([columns, rows]))
         gradients = np.column_stack([right.ravel()[chosen], up.ravel()[chosen]]).astype(np.float64)
-        along, _ = camera.line_of_sight_axes(points)
-        shifts = np.einsum("ni,ni->n", gradients, along) * camera.range_sigma(
-            calibration, points, tilt_sigma_radians
-        )
         values = detail.ravel()[chosen].astype(np.float64)
         levels.append(
             DenseLevel(
@@ -70,7 +58,6 @@ def make_levels(
                 points,
                 values,
                 gradients,
-                shifts,
             )
         )
     return tuple(levels)

@@ -1,9 +1,9 @@
-"""Two views compared pixel by pixel: how well they agree, and the rigid motion refined.
+"""The rigid motion between two views, refined on their pixels.
 
-The refinement is an inverse-compositional Lucas-Kanade alignment (Baker and Matthews, IJCV 56,
-2004) of a rigid motion with gain and offset, on locally normalised gray, with Huber weights. Each
-pixel is weighted by what its brightness may err: noise, and the gradient along the line of sight
-times the floor distance that a rocking camera shifts it by.
+An inverse-compositional Lucas-Kanade alignment (Baker and Matthews, IJCV 56, 2004) of a rigid
+motion with gain and offset, on locally normalised gray, with Huber weights. A camera that rocks
+shows the floor under a slightly other homography each time: both frames' pitch, roll and height
+are estimated with the motion, held by how much they are expected to vary.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from slamcli.core.geometry import Pose2, apply_homography
+from slamcli.core.geometry import Pose2, apply_homography, invert
 from slamcli.stages import camera
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ _HUBER_SIGMAS = 1.5
 # Neighbouring residuals are not independent: interpolation and blur tie about this many together.
 _CORRELATED_PIXELS = 16.0
 _REMAP_COLUMNS = 256
+# A robot that rocks by a radian bounces by so many times its camera's height.
+_HEIGHT_SHARE_PER_RADIAN = 3.0
 # A refinement that runs away from the fit that it started at has found something else.
 _MOST_SHIFT_PIXELS = 6.0
 
@@ -45,10 +47,14 @@ class Refinement:
     a_from_b : Pose2
     covariance : (3, 3) float64
         Of x, y (m), theta (rad) in b's own axes.
+    view_a_from_view_b : (3, 3) float64
+        Metres to metres, as the views show the floor: the motion, and what each frame's tilt and
+        height differ by from the calibration's.
     """
 
     a_from_b: Pose2
     covariance: NDArray[np.float64]
+    view_a_from_view_b: NDArray[np.float64]
 
 
 def refine(
@@ -63,84 +69,154 @@ def refine(
     Parameters
     ----------
     levels_a, levels_b : sequence of DenseLevel
-        From `make_levels`, of views of one resolution.
+        From `make_levels`, of views of one resolution, from fine to coarse.
     a_from_b : Pose2
-        A start within a few pixels of the truth.
+        A start within a few pixels of the truth on the coarsest of them.
     tilt_sigma_radians : float
-        By how much the camera's pitch varies from frame to frame.
+        By how much the camera's pitch and roll vary from frame to frame.
     """
-    pose, result = a_from_b, None
+    sigmas = _mounting_sigmas(calibration, tilt_sigma_radians)
+    state = _State(a_from_b, np.zeros(len(sigmas)), np.zeros(len(sigmas)))
+    covariance: NDArray[np.float64] | None = None
     for level_a, level_b in zip(reversed(levels_a), reversed(levels_b), strict=True):
         if len(level_a.points) < _LEAST_TEMPLATE_PIXELS:
             return None
-        result = _refine_level(level_a, level_b, pose, calibration, tilt_sigma_radians)
-        if result is None:
+        refined = _refine_level(level_a, level_b, state, calibration, sigmas)
+        if refined is None:
             return None
-        pose = result.a_from_b
-    moved = (a_from_b.inverse() @ pose).translation_length
-    if moved > _MOST_SHIFT_PIXELS * levels_a[-1].metres_per_pixel:
+        state, covariance = refined
+    moved = (a_from_b.inverse() @ state.a_from_b).translation_length
+    if covariance is None or moved > _MOST_SHIFT_PIXELS * levels_a[-1].metres_per_pixel:
         return None
-    return result
+    shown_a = _shown_from_floor(calibration, state.mounting_a)
+    shown_b = _shown_from_floor(calibration, state.mounting_b)
+    return Refinement(state.a_from_b, covariance, shown_a @ state.a_from_b.matrix @ invert(shown_b))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """The motion, and what pitch, roll and height differ by in either frame; (0,) where unknown."""
+
+    a_from_b: Pose2
+    mounting_a: NDArray[np.float64]
+    mounting_b: NDArray[np.float64]
+
+
+def _mounting_sigmas(calibration: Calibration, tilt_sigma_radians: float) -> NDArray[np.float64]:
+    """Return (3,) sigmas of a frame's pitch, roll and height; (0,) for a camera without them."""
+    if not math.isfinite(calibration.height_metres) or tilt_sigma_radians <= 0.0:
+        return np.zeros(0)
+    height = _HEIGHT_SHARE_PER_RADIAN * tilt_sigma_radians * calibration.height_metres
+    return np.array([tilt_sigma_radians, tilt_sigma_radians, height])
+
+
+def _shown_from_floor(
+    calibration: Calibration, mounting: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return (3, 3): where a view made by the calibration shows the floor of a tilted frame."""
+    if not np.any(mounting):
+        return np.eye(3)
+    tilted = camera.image_from_robot_homography(
+        calibration.camera_matrix,
+        calibration.height_metres + float(mounting[2]),
+        calibration.pitch_radians + float(mounting[0]),
+        calibration.roll_radians + float(mounting[1]),
+    )
+    shown = calibration.robot_from_image @ tilted
+    return np.asarray(shown / shown[2, 2])
+
+
+def _shifts(
+    calibration: Calibration, points: NDArray[np.float64], sigmas: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return (N, 2, 3): metres by which points are shown elsewhere, for one sigma of each."""
+    shifts = np.empty((len(points), 2, len(sigmas)))
+    for number, sigma in enumerate(sigmas):
+        changed = np.zeros(len(sigmas))
+        changed[number] = sigma
+        shifts[:, :, number] = (
+            apply_homography(_shown_from_floor(calibration, changed), points) - points
+        )
+    return shifts
 
 
 def _refine_level(
     a: DenseLevel,
     b: DenseLevel,
-    a_from_b: Pose2,
+    state: _State,
     calibration: Calibration,
-    tilt_sigma_radians: float,
-) -> Refinement | None:
-    pose = a_from_b
+    sigmas: NDArray[np.float64],
+) -> tuple[_State, NDArray[np.float64]] | None:
+    """Return the state refined on one level, and the covariance (3, 3) of its motion."""
+    count = len(sigmas)
+    shifts_a = _shifts(calibration, a.points, sigmas)
+    prior = np.concatenate([np.zeros(5), np.ones(2 * count)])
     for _ in range(_MOST_ITERATIONS):
-        points_b = pose.inverse().apply(a.points)
-        pixels_b = apply_homography(b.pixel_from_metres, points_b)
+        floor_a = apply_homography(
+            invert(_shown_from_floor(calibration, state.mounting_a)), a.points
+        )
+        floor_b = state.a_from_b.inverse().apply(floor_a)
+        shown_b = apply_homography(_shown_from_floor(calibration, state.mounting_b), floor_b)
+        pixels_b = apply_homography(b.pixel_from_metres, shown_b)
         seen = _sample(b.inside, pixels_b) > 254.5
         if np.count_nonzero(seen) < _LEAST_TEMPLATE_PIXELS:
             return None
-        points, pixels = points_b[seen], pixels_b[seen]
-        values_b = _sample(b.detail, pixels)
-        gradients = a.gradients[seen] @ pose.matrix[:2, :2]
-        jacobian = np.column_stack(
-            [
-                -gradients[:, 0],
-                -gradients[:, 1],
-                gradients[:, 0] * points[:, 1] - gradients[:, 1] * points[:, 0],
-                a.values[seen],
-                np.ones(len(points)),
-            ]
-        )
-        residual = values_b - a.values[seen]
-        along, _ = camera.line_of_sight_axes(points)
-        shift = np.einsum("ni,ni->n", gradients, along) * camera.range_sigma(
-            calibration, points, tilt_sigma_radians
-        )
-        solved = _solve(jacobian, residual, a.shifts[seen] ** 2 + shift**2)
+        points, pixels, values = floor_b[seen], pixels_b[seen], a.values[seen]
+        gradients = a.gradients[seen] @ state.a_from_b.matrix[:2, :2]
+        jacobian = np.empty((len(points), 5 + 2 * count))
+        jacobian[:, :2] = -gradients
+        jacobian[:, 2] = gradients[:, 0] * points[:, 1] - gradients[:, 1] * points[:, 0]
+        jacobian[:, 3] = values
+        jacobian[:, 4] = 1.0
+        if count:
+            shifts_b = _shifts(calibration, points, sigmas)
+            jacobian[:, 5 : 5 + count] = -np.einsum("ni,nik->nk", a.gradients[seen], shifts_a[seen])
+            jacobian[:, 5 + count :] = np.einsum("ni,nik->nk", gradients, shifts_b)
+        residual = _sample(b.detail, pixels) - values
+        held = np.zeros(5 + 2 * count)
+        if count:
+            held[5:] = np.concatenate([state.mounting_a / sigmas, state.mounting_b / sigmas])
+        solved = _solve(jacobian, residual, prior, held)
         if solved is None:
             return None
         step, covariance = solved
-        pose = pose @ Pose2(float(step[0]), float(step[1]), float(step[2]))
+        state = _State(
+            state.a_from_b @ Pose2(float(step[0]), float(step[1]), float(step[2])),
+            state.mounting_a + step[5 : 5 + count] * sigmas,
+            state.mounting_b + step[5 + count :] * sigmas,
+        )
         reach = float(np.abs(points).max())
         moved = math.hypot(step[0], step[1]) + abs(step[2]) * reach
         if moved < _CONVERGED_PIXELS * b.metres_per_pixel:
             break
-    return Refinement(pose, covariance)
+    return state, covariance
 
 
 def _solve(
     jacobian: NDArray[np.float64],
     residual: NDArray[np.float64],
-    model_variance: NDArray[np.float64],
+    prior: NDArray[np.float64],
+    held: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return one robust Gauss-Newton step (5,) and the covariance (3, 3) of its motion part."""
+    """Return one robust Gauss-Newton step (K,) and the covariance (3, 3) of its motion part.
+
+    Parameters
+    ----------
+    jacobian : (N, K) float64
+    residual : (N,) float64
+    prior : (K,) float64
+        Information of what is held near zero.
+    held : (K,) float64
+        Where that stands.
+    """
     noise = 1.4826 * float(np.median(np.abs(residual - np.median(residual)))) + 1e-6
-    variance = noise**2 + model_variance
-    standardised = np.abs(residual) / np.sqrt(variance)
-    weight = np.minimum(1.0, _HUBER_SIGMAS / np.maximum(standardised, 1e-12)) / variance
+    weight = np.minimum(1.0, _HUBER_SIGMAS * noise / np.maximum(np.abs(residual), 1e-12))
+    weight /= noise**2 * _CORRELATED_PIXELS
     weighted = jacobian * weight[:, None]
-    information = jacobian.T @ weighted
+    information = jacobian.T @ weighted + np.diag(prior)
     try:
-        step = -np.linalg.solve(information, weighted.T @ residual)
-        covariance = np.linalg.inv(information)[:3, :3] * _CORRELATED_PIXELS
+        step = -np.linalg.solve(information, weighted.T @ residual + prior * held)
+        covariance = np.linalg.inv(information)[:3, :3]
     except np.linalg.LinAlgError:
         return None
     if not (np.isfinite(step).all() and np.all(np.diag(covariance) > 0)):

@@ -147,16 +147,26 @@ def search(
     return Search(tuple(found), np.asarray(surface, np.float32), a.metres_per_pixel)
 
 
-def evidence(a: DenseLevel, b: DenseLevel, a_from_b: Pose2) -> Candidate:
-    """Return how the pixels of two views speak for one motion, on the scale of `search`."""
+def evidence(
+    a: DenseLevel, b: DenseLevel, a_from_b: Pose2, view_a_from_view_b: NDArray[np.float64]
+) -> Candidate:
+    """Return how the pixels of two views speak for one motion.
+
+    Parameters
+    ----------
+    a, b : DenseLevel
+    a_from_b : Pose2
+    view_a_from_view_b : (3, 3) float64
+        Metres to metres: that motion, or a `Refinement`'s.
+    """
     values_a, weight_a = _normalised(a)
     values_b, weight_b = _normalised(b)
-    b_from_a_pixel = a_from_b.inverse().matrix @ invert(a.pixel_from_metres)
-    mapping = (b.pixel_from_metres @ b_from_a_pixel)[:2]
+    b_from_a_pixel = invert(view_a_from_view_b) @ invert(a.pixel_from_metres)
+    mapping = b.pixel_from_metres @ b_from_a_pixel
     size = (values_a.shape[1], values_a.shape[0])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    moved = np.asarray(cv2.warpAffine(values_b, mapping, size, flags=flags))
-    weight = np.asarray(cv2.warpAffine(weight_b, mapping, size, flags=flags)) * weight_a
+    moved = np.asarray(cv2.warpPerspective(values_b, mapping, size, flags=flags))
+    weight = np.asarray(cv2.warpPerspective(weight_b, mapping, size, flags=flags)) * weight_a
     pixels = float(weight.sum())
     seen = min(float(weight_a.sum()), float(weight_b.sum()))
     if pixels < _LEAST_PIXELS:
