@@ -11,12 +11,13 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from slamcli.core.geometry import wrap_angle
 from slamcli.core.records import Link
 from slamcli.stages import align, dense
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from slamcli.core.config import MapperOptions
@@ -157,9 +158,25 @@ def _choose(
             f"ambiguous: another motion explains {rival:.0%} of what the best one does; "
             f"at most {options.max_rival_evidence:.0%} is believed"
         )
-    if not doubt and best.covariance is None:
-        doubt = "the pixels do not determine the motion"
+    if not doubt:
+        doubt = _undetermined(best, keyframe, options)
     return _trial(keyframe, prepared, alignment, best, doubt, rival, found)
+
+
+def _undetermined(fit: _Fit, keyframe: Prepared, options: MapperOptions) -> str:
+    """Return why a motion is not known in every direction, or nothing."""
+    assert keyframe.view is not None
+    if fit.covariance is None:
+        return "the pixels do not determine the motion"
+    variances, directions = np.linalg.eigh(fit.covariance[:2, :2])
+    sigma = math.sqrt(float(variances[1]))
+    if sigma <= options.max_sigma_pixels * keyframe.view.grid.metres_per_pixel:
+        return ""
+    bearing = math.degrees(math.atan2(directions[1, 1], directions[0, 1])) % 180.0
+    return (
+        f"the pixels leave the motion open along {bearing:.0f} degrees "
+        f"(one sigma {sigma:.2g}): lines alone do not tell how far along them the robot went"
+    )
 
 
 def _follow_up(

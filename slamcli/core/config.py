@@ -182,6 +182,9 @@ class MapperOptions:
         Least correlation of the overlap's detail for what a search found to be believed.
     max_rival_evidence : float
         Most that another motion may explain, as a share of what the best one does.
+    max_sigma_pixels : float
+        A searched motion less well known than this, in pixels of the view, in any direction is not
+        believed.
     most_hypotheses : int
         So many motions of a search are followed to the finest level.
     convincing_inliers : int
@@ -204,6 +207,7 @@ class MapperOptions:
     search_share_of_range: float = 0.25
     min_dense_score: float = 0.35
     max_rival_evidence: float = 0.75
+    max_sigma_pixels: float = 10.0
     most_hypotheses: int = 3
     convincing_inliers: int = 40
     convincing_score: float = 0.5

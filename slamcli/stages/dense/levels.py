@@ -41,7 +41,7 @@ def make_levels(view: View) -> tuple[DenseLevel, ...]:
         mask = np.asarray(cv2.pyrDown(mask), np.uint8)
         pixel_from_metres, scale = np.diag([0.5, 0.5, 1.0]) @ pixel_from_metres, 2.0 * scale
         detail, inside = _detail(image, mask)
-        right, up = _gradients(detail, scale)
+        right, up = slopes(detail, scale)
         chosen = _most_telling(np.where(inside == 255, right * right + up * up, np.float32(0.0)))
         rows, columns = np.unravel_index(chosen, detail.shape)
         points = apply_homography(invert(pixel_from_metres), np.column_stack([columns, rows]))
@@ -78,7 +78,7 @@ def _detail(
     return detail, np.asarray(eroded, np.uint8)
 
 
-def _gradients(
+def slopes(
     detail: NDArray[np.float32], metres_per_pixel: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the slopes per metre along x (right) and y (up)."""

@@ -17,6 +17,7 @@ import numpy as np
 
 from slamcli.core.geometry import Pose2, apply_homography, invert
 from slamcli.stages import camera
+from slamcli.stages.dense import levels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,6 +30,11 @@ _MOST_ITERATIONS = 12
 _CONVERGED_PIXELS = 0.003
 _LEAST_TEMPLATE_PIXELS = 200
 _HUBER_SIGMAS = 1.5
+# On a floor of plain lines nearly every pixel fits while a line's end, which alone tells how far
+# the robot went along it, does not: it must not pass for an outlier. Noise is taken to be at least
+# this share of the contrast.
+_LEAST_NOISE_SHARE = 0.1
+_LEAST_INFORMATION = 1e-4
 # Neighbouring residuals are not independent: interpolation and blur tie about this many together.
 _CORRELATED_PIXELS = 16.0
 _REMAP_COLUMNS = 256
@@ -176,10 +182,10 @@ def _refine_level(
         held = np.zeros(5 + 2 * count)
         if count:
             held[5:] = np.concatenate([state.mounting_a / sigmas, state.mounting_b / sigmas])
-        solved = _solve(jacobian, residual, prior, held)
+        solved = _solve(jacobian, residual, prior, held, _LEAST_NOISE_SHARE * float(values.std()))
         if solved is None:
             return None
-        step, covariance = solved
+        step, weight = solved
         state = _State(
             state.a_from_b @ Pose2(float(step[0]), float(step[1]), float(step[2])),
             state.mounting_a + step[5 : 5 + count] * sigmas,
@@ -189,7 +195,38 @@ def _refine_level(
         moved = math.hypot(step[0], step[1]) + abs(step[2]) * reach
         if moved < _CONVERGED_PIXELS * b.metres_per_pixel:
             break
-    return state, covariance
+    solved_again = _covariance(b, jacobian, pixels, points, weight, prior)
+    return None if solved_again is None else (state, solved_again)
+
+
+def _covariance(
+    b: DenseLevel,
+    jacobian: NDArray[np.float64],
+    pixels: NDArray[np.float64],
+    points: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    prior: NDArray[np.float64],
+) -> NDArray[np.float64] | None:
+    """Return the covariance (3, 3) of the motion, from what both views show of the gradients.
+
+    The noise of one view has gradients too, which would pass for knowledge of a motion along a
+    plain line; the product with the other view's, whose noise is another, has none on average.
+    """
+    right, up = levels.slopes(b.detail, b.metres_per_pixel)
+    other = np.column_stack([_sample(right, pixels), _sample(up, pixels)])
+    both = jacobian.copy()
+    both[:, :2] = -other
+    both[:, 2] = other[:, 0] * points[:, 1] - other[:, 1] * points[:, 0]
+    information = jacobian.T @ (both * weight[:, None])
+    information = (information + information.T) / 2.0 + np.diag(prior)
+    # In units of about one pixel each, what is not known at all is known to a view's width.
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(jacobian.T @ (jacobian * weight[:, None])), 1e-12))
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    if not np.isfinite(values).all():
+        return None
+    values = np.maximum(values, _LEAST_INFORMATION)
+    covariance = (vectors / values) @ vectors.T * np.outer(scale, scale)
+    return np.asarray(covariance[:3, :3], np.float64)
 
 
 def _solve(
@@ -197,8 +234,9 @@ def _solve(
     residual: NDArray[np.float64],
     prior: NDArray[np.float64],
     held: NDArray[np.float64],
+    least_noise: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return one robust Gauss-Newton step (K,) and the covariance (3, 3) of its motion part.
+    """Return one robust Gauss-Newton step (K,) and the weight (N,) of each residual.
 
     Parameters
     ----------
@@ -208,20 +246,24 @@ def _solve(
         Information of what is held near zero.
     held : (K,) float64
         Where that stands.
+    least_noise : float
+        Of a residual, one standard deviation.
     """
     noise = 1.4826 * float(np.median(np.abs(residual - np.median(residual)))) + 1e-6
-    weight = np.minimum(1.0, _HUBER_SIGMAS * noise / np.maximum(np.abs(residual), 1e-12))
-    weight /= noise**2 * _CORRELATED_PIXELS
+    limit = _HUBER_SIGMAS * max(noise, least_noise)
+    weight = np.minimum(1.0, limit / np.maximum(np.abs(residual), 1e-12))
+    # Where the residuals beyond the limit are many, they are what is uncertain.
+    variance = float(np.mean((weight * residual) ** 2)) + noise**2
+    weight /= variance * _CORRELATED_PIXELS
     weighted = jacobian * weight[:, None]
     information = jacobian.T @ weighted + np.diag(prior)
     try:
         step = -np.linalg.solve(information, weighted.T @ residual + prior * held)
-        covariance = np.linalg.inv(information)[:3, :3]
     except np.linalg.LinAlgError:
         return None
-    if not (np.isfinite(step).all() and np.all(np.diag(covariance) > 0)):
+    if not np.isfinite(step).all():
         return None
-    return np.asarray(step, np.float64), np.asarray(covariance, np.float64)
+    return np.asarray(step, np.float64), weight
 
 
 def _sample(
