@@ -200,7 +200,7 @@ class MapperOptions:
     min_overlap: float = 0.1
     max_turn_degrees: float = 75.0
     min_score: float = 0.3
-    tilt_sigma_degrees: float = 0.05
+    tilt_sigma_degrees: float = 0.1
     refine: bool = True
     dense: bool = True
     search_angle_degrees: float = 40.0

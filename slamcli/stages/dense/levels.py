@@ -22,7 +22,12 @@ _MOST_LEVELS = 6
 _MOST_COARSEST_PIXELS = 20_000
 _MOST_TEMPLATE_PIXELS = 15_000
 _HIGH_PASS_PIXELS = 25
+_LEAST_WINDOW_SHARE = 0.7
 _SAMPLE_STEP = 16
+# So much is added first, as the noise of the dark would else be all there is to see.
+_DARK_GRAY = 16.0
+# In gray levels at the middle of the range.
+_LOGARITHM = ((128.0 + _DARK_GRAY) * np.log(np.arange(256) + _DARK_GRAY)).astype(np.float32)
 
 
 def make_levels(view: View) -> tuple[DenseLevel, ...]:
@@ -66,16 +71,24 @@ def make_levels(view: View) -> tuple[DenseLevel, ...]:
 def _detail(
     image: NDArray[np.uint8], mask: NDArray[np.uint8]
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Take out a picture's slow brightness, which belongs to lamp and lens."""
+    """Take out a picture's slow brightness, which belongs to lamp and lens.
+
+    Both multiply: the logarithm makes that a sum, of which the high-pass leaves nothing. Without
+    it a plain line would show the lens's vignetting, which does not move when the robot does.
+    """
     inside = (mask == 255).astype(np.float32)
-    values = image.astype(np.float32) * inside
+    values = np.asarray(cv2.LUT(image, _LOGARITHM)) * inside
     size = (_HIGH_PASS_PIXELS, _HIGH_PASS_PIXELS)
     weight = np.asarray(cv2.blur(inside, size))
     mean = np.asarray(cv2.blur(values, size)) / np.maximum(weight, np.float32(1e-3))
     detail = np.asarray(cv2.GaussianBlur((values - mean) * inside, (3, 3), 0), np.float32)
     # The outermost ring's gradient would be that of the mask, not of the floor.
-    eroded = cv2.erode(np.where(mask == 255, np.uint8(255), np.uint8(0)), np.ones((5, 5)))
-    return detail, np.asarray(eroded, np.uint8)
+    eroded = np.asarray(
+        cv2.erode(np.where(mask == 255, np.uint8(255), np.uint8(0)), np.ones((5, 5)))
+    )
+    # Where the border cuts much off the mean's window, another view's mean is another.
+    eroded = np.where(weight < _LEAST_WINDOW_SHARE, np.uint8(0), eroded)
+    return detail, eroded
 
 
 def slopes(
