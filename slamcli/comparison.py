@@ -34,6 +34,11 @@ _LEAST_SHARE_OF_BEST = 0.4
 # Two motions nearer than this, in pixels of the coarsest level and in radians, are one.
 _SAME_PIXELS = 3.0
 _SAME_RADIANS = 0.05
+# A rigid motion that correlates so well needs no rocking camera to explain it; where it does not,
+# the rocking is believed when it leaves less than this share unexplained. On a floor of a few lines
+# a line's end may be brought to fit by a tilt as well as by the motion.
+_STEADY_CORRELATION = 0.95
+_ROCKING_SHARE = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +134,7 @@ def compare(
     fits = [_polish(keyframe, prepared, start, None, calibration, options) for start in starts]
     if by_features is not None:
         fits.append(by_features)
-    return _choose(keyframe, prepared, alignment, fits, found, options)
+    return _choose(keyframe, prepared, alignment, fits, by_features, found, options)
 
 
 def _choose(
@@ -137,6 +142,7 @@ def _choose(
     prepared: Prepared,
     alignment: Alignment,
     fits: list[_Fit],
+    by_features: _Fit | None,
     found: dense.Search | None,
     options: MapperOptions,
 ) -> Trial:
@@ -148,9 +154,11 @@ def _choose(
     best = fits[0]
     rival = fits[1].evidence / best.evidence if len(fits) > 1 and best.evidence > 0 else 0.0
     doubt = _doubt(best, options)
-    if not doubt and best.correlation < options.min_dense_score:
+    alike = min(best.correlation, best.agreed.correlation)
+    backed = best is by_features and alignment.inlier_count >= options.convincing_inliers
+    if not doubt and not backed and not alike >= options.min_dense_score:
         doubt = (
-            f"the pixels are too unlike: correlation {best.correlation:.2f} of their detail; "
+            f"the pixels are too unlike: correlation {alike:.2f}; "
             f"at least {options.min_dense_score:.2f} is needed"
         )
     if not doubt and rival > options.max_rival_evidence:
@@ -213,23 +221,48 @@ def _polish(
     options: MapperOptions,
 ) -> _Fit:
     """Refine a motion on the pixels, where that makes them agree better, and judge it."""
-    finest = keyframe.levels[0], prepared.levels[0]
-    shown = pose.matrix
-    agreed = dense.agreement(*finest, shown)
+    start = _judge(keyframe, prepared, pose, covariance, pose.matrix)
+    if not options.refine and covariance is not None:
+        return start
     # Features come within a pixel of the finest levels; what a search found starts at the coarsest.
     levels = slice(0, 2) if covariance is not None else slice(None)
-    if options.refine or covariance is None:
-        tilt = math.radians(options.tilt_sigma_degrees)
-        refined = dense.refine(
-            keyframe.levels[levels], prepared.levels[levels], pose, calibration, tilt
+    pair = keyframe.levels[levels], prepared.levels[levels]
+    best = start
+    for tilt in (0.0, math.radians(options.tilt_sigma_degrees)):
+        if best.covariance is not None and best.correlation >= _STEADY_CORRELATION:
+            break
+        refined = dense.refine(*pair, best.pose, calibration, tilt)
+        if refined is None:
+            continue
+        fit = _judge(
+            keyframe,
+            prepared,
+            refined.a_from_b,
+            refined.covariance,
+            refined.view_a_from_view_b,
         )
-        if refined is not None:
-            again = dense.agreement(*finest, refined.view_a_from_view_b)
-            if covariance is None or again.correlation > agreed.correlation:
-                pose, covariance, agreed = refined.a_from_b, refined.covariance, again
-                shown = refined.view_a_from_view_b
+        if best.covariance is None or _better(fit, best, rocking=tilt > 0.0):
+            best = fit
+    return best
+
+
+def _judge(
+    keyframe: Prepared,
+    prepared: Prepared,
+    pose: Pose2,
+    covariance: NDArray[np.float64] | None,
+    shown: NDArray[np.float64],
+) -> _Fit:
+    agreed = dense.agreement(keyframe.levels[0], prepared.levels[0], shown)
     judged = dense.evidence(keyframe.levels[1], prepared.levels[1], pose, shown)
     return _Fit(pose, covariance, agreed, judged.evidence, judged.correlation)
+
+
+def _better(fit: _Fit, other: _Fit, *, rocking: bool) -> bool:
+    """Return whether a refined fit agrees better; one that bends the floor must do so by far."""
+    if not rocking:
+        return fit.agreed.correlation > other.agreed.correlation
+    return 1.0 - fit.correlation < _ROCKING_SHARE * (1.0 - other.correlation)
 
 
 def _convincing(alignment: Alignment, fit: _Fit, options: MapperOptions) -> bool:

@@ -205,9 +205,9 @@ class MapperOptions:
     dense: bool = True
     search_angle_degrees: float = 40.0
     search_share_of_range: float = 0.25
-    min_dense_score: float = 0.35
+    min_dense_score: float = 0.45
     max_rival_evidence: float = 0.75
-    max_sigma_pixels: float = 10.0
+    max_sigma_pixels: float = 12.0
     most_hypotheses: int = 3
     convincing_inliers: int = 40
     convincing_score: float = 0.5

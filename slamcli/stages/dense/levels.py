@@ -87,8 +87,8 @@ def _detail(
         cv2.erode(np.where(mask == 255, np.uint8(255), np.uint8(0)), np.ones((5, 5)))
     )
     # Where the border cuts much off the mean's window, another view's mean is another.
-    eroded = np.where(weight < _LEAST_WINDOW_SHARE, np.uint8(0), eroded)
-    return detail, eroded
+    cut = weight < _LEAST_WINDOW_SHARE
+    return detail, np.where(cut, np.uint8(0), eroded).astype(np.uint8)
 
 
 def slopes(

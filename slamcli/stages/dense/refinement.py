@@ -33,10 +33,10 @@ _HUBER_SIGMAS = 1.5
 # On a floor of plain lines nearly every pixel fits while a line's end, which alone tells how far
 # the robot went along it, does not: it must not pass for an outlier. Noise is taken to be at least
 # this share of the contrast.
-_LEAST_NOISE_SHARE = 0.1
+_LEAST_NOISE_SHARE = 0.2
 _LEAST_INFORMATION = 1e-4
 # Neighbouring residuals are not independent: interpolation and blur tie about this many together.
-_CORRELATED_PIXELS = 16.0
+_CORRELATED_PIXELS = 48.0
 _REMAP_COLUMNS = 256
 # A robot that rocks by a radian bounces by so many times its camera's height.
 _HEIGHT_SHARE_PER_RADIAN = 3.0
@@ -249,12 +249,10 @@ def _solve(
     least_noise : float
         Of a residual, one standard deviation.
     """
-    noise = 1.4826 * float(np.median(np.abs(residual - np.median(residual)))) + 1e-6
-    limit = _HUBER_SIGMAS * max(noise, least_noise)
-    weight = np.minimum(1.0, limit / np.maximum(np.abs(residual), 1e-12))
-    # Where the residuals beyond the limit are many, they are what is uncertain.
-    variance = float(np.mean((weight * residual) ** 2)) + noise**2
-    weight /= variance * _CORRELATED_PIXELS
+    spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+    noise = max(spread, least_noise, 1e-6)
+    weight = np.minimum(1.0, _HUBER_SIGMAS * noise / np.maximum(np.abs(residual), 1e-12))
+    weight /= noise**2 * _CORRELATED_PIXELS
     weighted = jacobian * weight[:, None]
     information = jacobian.T @ weighted + np.diag(prior)
     try:
