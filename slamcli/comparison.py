@@ -131,7 +131,9 @@ def compare(
         coarsest = keyframe.levels[-1], prepared.levels[-1]
         found = dense.search(*coarsest, window, min_overlap=options.min_overlap, count=_PEAKS)
         starts = _follow_up(keyframe, prepared, found, calibration, options)
-    fits = [_polish(keyframe, prepared, start, None, calibration, options) for start in starts]
+    # A start that the refinement leaves far behind is a slope of the evidence, not a peak.
+    polished = [_polish(keyframe, prepared, start, None, calibration, options) for start in starts]
+    fits = [fit for fit in polished if fit.covariance is not None]
     if by_features is not None:
         fits.append(by_features)
     return _choose(keyframe, prepared, alignment, fits, by_features, found, options)
