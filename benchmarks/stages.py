@@ -135,7 +135,8 @@ def measure(count: int) -> list[tuple[str, float, float]]:
         lambda i: dense.agreement(levels[i][0], levels[i + 1][0], poses[i].matrix), count - 1
     )
     refine = median_milliseconds(
-        lambda i: dense.refine(levels[i][:2], levels[i + 1][:2], poses[i], calibration, tilt), count - 1
+        lambda i: dense.refine(levels[i][:2], levels[i + 1][:2], poses[i], calibration, tilt),
+        count - 1,
     )
 
     painter = Painter(calibration, camera.default_metres_per_pixel(calibration))

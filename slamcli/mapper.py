@@ -135,7 +135,7 @@ class Mapper:
                 self._estimates[prepared.index] = placed
                 return placed
         self._stray = prepared
-        return self._lose(prepared, trials[0].reason)
+        return self._lose(prepared, _telling(trials).reason)
 
     def finish(self) -> list[PoseEstimate]:
         """Weigh all links against one another and return every frame's final estimate.
@@ -378,6 +378,11 @@ class Mapper:
 
 def _lost(frame: Prepared | PoseEstimate, reason: str) -> PoseEstimate:
     return PoseEstimate(frame.index, frame.name, frame.stamp, None, "lost", reason)
+
+
+def _telling(trials: list[Trial]) -> Trial:
+    """Return the trial that tells best why a frame is lost: the one that asked the pixels too."""
+    return next((trial for trial in trials if trial.search is not None), trials[0])
 
 
 def _same_picture(a: Prepared, b: Prepared) -> bool:

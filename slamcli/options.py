@@ -303,6 +303,25 @@ mapper_options = stacked(
         help="Degrees by which the camera's pitch varies from frame to frame.",
     ),
     click.option(
+        "--dense/--no-dense",
+        default=_MAPPER.dense,
+        help="Search the pixels for the motion where features do not convince [default], or not.",
+    ),
+    click.option(
+        "--search-angle",
+        type=click.FloatRange(0, 180),
+        default=_MAPPER.search_angle_degrees,
+        show_default=True,
+        help="Degrees of turn to either side that this search tries.",
+    ),
+    click.option(
+        "--max-rival",
+        type=click.FloatRange(0, 1),
+        default=_MAPPER.max_rival_evidence,
+        show_default=True,
+        help="A motion is ambiguous when another explains more than this share of what it does.",
+    ),
+    click.option(
         "--refine-pixels/--no-refine-pixels",
         default=_MAPPER.refine,
         help="Refine each fit on the pixels themselves [default], or leave it to the features.",
@@ -323,6 +342,9 @@ def mapper_of(told: Mapping[str, Any]) -> MapperOptions:
         min_score=told["min_score"],
         tilt_sigma_degrees=told["tilt_sigma"],
         refine=told["refine_pixels"],
+        dense=told["dense"],
+        search_angle_degrees=told["search_angle"],
+        max_rival_evidence=told["max_rival"],
     )
 
 

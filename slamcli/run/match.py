@@ -20,9 +20,11 @@ from slamcli.run.pairs import (
     fit_pair,
     plain_picture,
     read_picture,
+    search_pair,
 )
 from slamcli.stages import view
 from slamcli.stages.draw.matches import draw_matches
+from slamcli.stages.draw.surface import draw_surface
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
 
 PLAIN_RATIO = 0.8
 DRAWING_SUFFIXES = (".png", ".jpg")
+_MARGIN_GRAY = 245
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +108,10 @@ def match(
     if len(inputs.files) != 2:
         raise InputError(f"{first} and {second} must be two image files, not folders")
     pictures = _open(inputs)
-    fit = fit_pair(*pictures, _fronts(options, inputs), *_resolved(options, inputs))
+    features, matching = _resolved(options, inputs)
+    fit = fit_pair(*pictures, _fronts(options, inputs), features, matching)
+    if fit.reason and inputs.calibration_path is not None and matching.model == "rigid":
+        fit = search_pair(*pictures, fit)
     facts = _facts(inputs, pictures, fit)
     note = inputs.note if inputs.calibration_path else "no calibration: pixel units"
     lines = [*([note] if note else []), *_lines(facts, fit)]
@@ -179,6 +185,13 @@ def _facts(inputs: Inputs, pictures: tuple[Picture, Picture], fit: Fit) -> dict[
         "correlation": _number(fit.correlation),
         "second_from_first": None if matrix is None else matrix.tolist(),
     }
+    if fit.trial is not None:
+        facts["search"] = {
+            "decided": fit.trial.link is not None,
+            "reason": fit.trial.reason,
+            "overlap": fit.trial.overlap,
+            "rival": _number(fit.trial.rival),
+        }
     if matrix is not None and alignment.model in {"rigid", "similarity"}:
         facts["scale"] = math.hypot(matrix[0, 0], matrix[1, 0])
         facts["rotation_degrees"] = math.degrees(math.atan2(matrix[1, 0], matrix[0, 0]))
@@ -211,7 +224,8 @@ def _lines(facts: dict[str, object], fit: Fit) -> list[str]:
     # Residuals are read in millimetres of floor, or in pixels.
     scale, short = (1000.0, "mm") if unit == "m" else (1.0, unit)
     axes = "x ahead, y left of the robot" if unit == "m" else "x right, y down in the picture"
-    lines = [f"fit: {alignment.model}, by {fit.front}", f"second = M first, in {unit} ({axes})"]
+    by = str(fit.front) if fit.trial is None else "its pixels (the features did not convince)"
+    lines = [f"fit: {alignment.model}, by {by}", f"second = M first, in {unit} ({axes})"]
     lines += [f"  [{row[0]:12.6f} {row[1]:12.6f} {row[2]:12.4f}]" for row in matrix[:2]]
     if alignment.model == "homography":
         lines.append(f"  [{matrix[2, 0]:12.4e} {matrix[2, 1]:12.4e} {matrix[2, 2]:12.4f}]")
@@ -227,6 +241,12 @@ def _lines(facts: dict[str, object], fit: Fit) -> list[str]:
             f"{math.degrees(pose.theta):.3f} degrees (sigmas {sigmas[0] * 1000:.2f} mm, "
             f"{sigmas[1] * 1000:.2f} mm, {math.degrees(sigmas[2]):.4f} degrees)"
         )
+    if fit.trial is not None:
+        return [
+            *lines,
+            f"correlation {fit.correlation:.3f}, overlap {fit.trial.overlap:.0%}; the next best "
+            f"motion explains {fit.trial.rival:.0%} of what this one does",
+        ]
     lines += [
         f"{alignment.inlier_count} inliers of {len(alignment.matches)} matches "
         f"({len(fit.first)} and {len(fit.second)} features)",
@@ -243,7 +263,7 @@ def _draw(pictures: tuple[Picture, Picture], fit: Fit, lines: list[str]) -> NDAr
     first_pixels = first.view.grid.pixel_from_metres
     second_pixels = second.view.grid.pixel_from_metres
     matrix = None if fit.reason else fit.alignment.a_from_b
-    return draw_matches(
+    drawing = draw_matches(
         _shown(first),
         _shown(second),
         apply_homography(first_pixels, fit.first.points[matches[:, 0]]),
@@ -252,6 +272,19 @@ def _draw(pictures: tuple[Picture, Picture], fit: Fit, lines: list[str]) -> NDAr
         None if matrix is None else second_pixels @ invert(matrix) @ invert(first_pixels),
         lines,
     )
+    if fit.trial is None or fit.trial.search is None:
+        return drawing
+    found = fit.trial.search
+    surface = draw_surface(found.surface, found.metres_per_pixel)
+    width = max(drawing.shape[1], surface.shape[1])
+    return np.vstack([_widened(drawing, width), _widened(surface, width)])
+
+
+def _widened(picture: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
+    """Return a picture with a bright margin at its right."""
+    wide = np.full((picture.shape[0], width, 3), _MARGIN_GRAY, np.uint8)
+    wide[:, : picture.shape[1]] = picture
+    return wide
 
 
 def _shown(picture: Picture) -> NDArray[np.uint8]:

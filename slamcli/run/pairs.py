@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 
+from slamcli.comparison import Trial, compare
+from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Grid
-from slamcli.core.records import View
+from slamcli.core.records import Prepared, View
 from slamcli.io.frames import read_frame
-from slamcli.stages import align, camera, confirm, features, view
+from slamcli.stages import align, camera, confirm, dense, features, view
 
 if TYPE_CHECKING:
     from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions
@@ -92,6 +94,8 @@ class Fit:
         Median over small windows of the overlap; nan when nothing could be compared.
     reason : str
         Why it is not believed; empty when it is.
+    trial : Trial or None
+        What the pixels alone said, when the features did not convince.
     """
 
     front: Front
@@ -100,6 +104,7 @@ class Fit:
     second: Features
     correlation: float
     reason: str
+    trial: Trial | None = None
 
 
 def read_picture(file: FrameFile) -> Frame:
@@ -204,3 +209,43 @@ def _try(
     if alignment.a_from_b is not None and alignment.accepted:
         correlation = confirm.local_correlation(first.view, second.view, alignment.a_from_b)
     return Fit(front, alignment, found[0], found[1], correlation, alignment.reason)
+
+
+def search_pair(first: Picture, second: Picture, fit: Fit) -> Fit:
+    """Let the pixels of two bird's-eye views decide where their features did not.
+
+    Returns
+    -------
+    Fit
+        Of the motion that the pixels single out, or the given one with what they said.
+    """
+    prepared = [
+        Prepared(
+            index,
+            picture.frame.name,
+            None,
+            picture.view,
+            found,
+            levels=dense.make_levels(picture.view),
+        )
+        for index, (picture, found) in enumerate(((first, fit.first), (second, fit.second)))
+    ]
+    options = MapperOptions(max_turn_degrees=180.0)
+    trial = compare(
+        prepared[0], prepared[1], None, first.calibration, options, window=dense.Window()
+    )
+    if trial.link is None:
+        reason = fit.reason if trial.search is None else f"{fit.reason}; {trial.reason}"
+        return replace(fit, reason=reason, trial=trial)
+    pose = trial.link.a_from_b
+    alignment = replace(
+        fit.alignment,
+        model="rigid",
+        a_from_b=pose.matrix,
+        pose=pose,
+        covariance=trial.link.covariance,
+        inliers=np.zeros(len(fit.alignment.matches), np.bool_),
+        residuals=np.full(len(fit.alignment.matches), np.nan),
+        reason="",
+    )
+    return replace(fit, alignment=alignment, correlation=trial.link.score, reason="", trial=trial)

@@ -35,6 +35,7 @@ _HUBER_SIGMAS = 1.5
 # this share of the contrast.
 _LEAST_NOISE_SHARE = 0.2
 _LEAST_INFORMATION = 1e-4
+_CHANCE_SIGMAS = 2.0
 # Neighbouring residuals are not independent: interpolation and blur tie about this many together.
 _CORRELATED_PIXELS = 48.0
 _REMAP_COLUMNS = 256
@@ -217,16 +218,22 @@ def _covariance(
     both = jacobian.copy()
     both[:, :2] = -other
     both[:, 2] = other[:, 0] * points[:, 1] - other[:, 1] * points[:, 0]
-    information = jacobian.T @ (both * weight[:, None])
+    # About the middle of the overlap turning and moving are told apart.
+    central = np.eye(jacobian.shape[1])
+    middle = points.mean(axis=0)
+    central[:2, 2] = middle[1], -middle[0]
+    first, second = jacobian @ central, both @ central
+    information = first.T @ (second * weight[:, None])
     information = (information + information.T) / 2.0 + np.diag(prior)
-    # In units of about one pixel each, what is not known at all is known to a view's width.
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(jacobian.T @ (jacobian * weight[:, None])), 1e-12))
+    scale = 1.0 / np.sqrt(np.maximum(np.sum(first**2 * weight[:, None], axis=0), 1e-12))
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     if not np.isfinite(values).all():
         return None
-    values = np.maximum(values, _LEAST_INFORMATION)
+    # By chance alone the products of noise add up to this.
+    chance = _CHANCE_SIGMAS / math.sqrt(len(points))
+    values = np.maximum(values - chance, _LEAST_INFORMATION)
     covariance = (vectors / values) @ vectors.T * np.outer(scale, scale)
-    return np.asarray(covariance[:3, :3], np.float64)
+    return np.asarray((central @ covariance @ central.T)[:3, :3], np.float64)
 
 
 def _solve(

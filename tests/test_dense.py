@@ -1,0 +1,190 @@
+"""Registration by the pixels alone: floors on which features find little, or too much alike."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import slamcli
+from slamcli.comparison import compare
+from slamcli.core.config import MapperOptions
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import Frame, Prepared
+from slamcli.core.simulation import CameraOptions, DisturbanceOptions
+from slamcli.stages import dense
+from slamcli.stages.simulate import floors, photograph
+
+CAMERA = CameraOptions(size=(400, 300))
+CALIBRATION = photograph.make_camera(CAMERA)
+
+
+def photographer_of(floor: floors.Floor) -> photograph.Photographer:
+    return photograph.Photographer(photograph.World(floor), CALIBRATION)
+
+
+def bare_course() -> photograph.Photographer:
+    return photographer_of(floors.make_floor("course", 0.0, 0.001, seed=0))
+
+
+def prepared_of(
+    photographer: photograph.Photographer,
+    pose: Pose2,
+    index: int,
+    disturbances: DisturbanceOptions | None = None,
+) -> Prepared:
+    generator = np.random.default_rng(index)
+    image = photograph.take(
+        photographer, (pose, pose), 0.0, disturbances or DisturbanceOptions(), generator
+    )
+    return slamcli.Mapper(CALIBRATION).prepare(Frame(index, f"{index}", None, image))
+
+
+def error_of(measured: Pose2, truth: Pose2) -> tuple[float, float]:
+    error = truth.inverse() @ measured
+    return error.translation_length, abs(math.degrees(error.theta))
+
+
+def on_circle(angle: float) -> Pose2:
+    return Pose2(-0.45 + 0.38 * math.sin(angle), -0.07 - 0.38 * math.cos(angle), angle)
+
+
+def stripes(period_metres: float, *, both: bool) -> floors.BlockFloor:
+    """Return white lines on black every so often, across x, or also along it: a tiled floor."""
+
+    def paint(grid: slamcli.Grid) -> np.ndarray:
+        column, row = np.arange(grid.width), np.arange(grid.height)
+        x = grid.x_min + grid.metres_per_pixel * column
+        y = grid.y_max - grid.metres_per_pixel * row
+        lines = np.broadcast_to((x % period_metres < 0.012)[None, :], (grid.height, grid.width))
+        if both:
+            lines = lines | (y % period_metres < 0.012)[:, None]
+        gray = np.where(lines, np.uint8(220), np.uint8(40))
+        return np.ascontiguousarray(np.repeat(gray[..., None], 3, axis=2))
+
+    return floors.BlockFloor(paint, 0.001)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 2.0, 11.0, -27.0])
+def test_a_search_finds_the_motion_between_views_of_bare_lines(degrees: float) -> None:
+    camera = bare_course()
+    start = on_circle(0.3)
+    motion = Pose2(0.06, 0.01, math.radians(degrees))
+    a, b = prepared_of(camera, start, 0), prepared_of(camera, start @ motion, 1)
+    found = dense.search(a.levels[-1], b.levels[-1], dense.Window(), min_overlap=0.1)
+    metres, turned = error_of(found.candidates[0].a_from_b, motion)
+    assert metres < 2.5 * a.levels[-1].metres_per_pixel
+    assert turned <= 2.5
+    assert found.candidates[0].correlation > 0.7
+
+
+def test_a_search_looks_within_its_window_alone() -> None:
+    camera = bare_course()
+    start, motion = on_circle(0.3), Pose2(0.10, 0.0, 0.1)
+    a, b = prepared_of(camera, start, 0), prepared_of(camera, start @ motion, 1)
+    window = dense.Window(Pose2(0.30, 0.0, 0.1), math.radians(8), 0.1)
+    for candidate in dense.search(a.levels[-1], b.levels[-1], window, min_overlap=0.1).candidates:
+        middle = np.array([[0.4, 0.0]])
+        apart = candidate.a_from_b.apply(middle) - window.centre.apply(middle)
+        assert np.linalg.norm(apart) < 0.14
+
+
+def test_the_textureless_course_is_mapped_whole() -> None:
+    """ORB and a similarity place hardly a frame of it."""
+    camera, mapper = bare_course(), slamcli.Mapper(CALIBRATION)
+    truth = [on_circle(angle) for angle in np.linspace(0.0, math.tau, 60, endpoint=False)]
+    for index, pose in enumerate(truth):
+        mapper.step(prepared_of(camera, pose, index))
+    estimates = mapper.finish()
+    assert sum(e.map_from_robot is not None for e in estimates) >= 59
+    placed = [e for e in estimates if e.map_from_robot is not None]
+    for before, after in pairwise(placed):
+        if before.fragment != after.fragment:
+            continue
+        assert before.map_from_robot is not None
+        assert after.map_from_robot is not None
+        step = before.map_from_robot.inverse() @ after.map_from_robot
+        true = truth[before.index].inverse() @ truth[after.index]
+        metres, degrees = error_of(step, true)
+        assert metres < 0.012
+        assert degrees < 1.0
+
+
+def test_tiles_that_are_all_alike_are_ambiguous() -> None:
+    camera = photographer_of(stripes(0.1, both=True))
+    a, b = prepared_of(camera, Pose2(), 0), prepared_of(camera, Pose2(0.03, 0.01, 0.02), 1)
+    trial = compare(a, b, None, CALIBRATION, MapperOptions(), window=dense.Window())
+    assert trial.link is None
+    assert "ambiguous" in trial.reason or "open along" in trial.reason
+
+
+def test_a_single_line_does_not_tell_how_far_along_it_the_robot_went() -> None:
+    camera = photographer_of(stripes(5.0, both=False))
+    start = Pose2(-0.5, 0.0, 0.0)
+    a, b = prepared_of(camera, start, 0), prepared_of(camera, start @ Pose2(0.04, 0.02), 1)
+    trial = compare(a, b, None, CALIBRATION, MapperOptions(), window=dense.Window())
+    assert trial.link is None
+    refined = dense.refine(a.levels, b.levels, Pose2(0.04, 0.02), CALIBRATION, 0.0)
+    if refined is not None:
+        across, along = np.sqrt(np.diag(refined.covariance)[:2])
+        assert along > 10 * across
+
+
+def test_a_refinement_sees_through_a_rocking_camera() -> None:
+    camera = photographer_of(floors.make_floor("asphalt", 0.0, 0.001, seed=3))
+    rocking = DisturbanceOptions(rocking_degrees=0.4, bounce_metres=0.002)
+    motion = Pose2(0.05, 0.01, 0.1)
+    a = prepared_of(camera, Pose2(), 10, rocking)
+    b = prepared_of(camera, motion, 11, rocking)
+    tilt = math.radians(0.4)
+    rigid = dense.refine(a.levels, b.levels, motion, CALIBRATION, 0.0)
+    rocked = dense.refine(a.levels, b.levels, motion, CALIBRATION, tilt)
+    assert rigid is not None
+    assert rocked is not None
+    metres, degrees = error_of(rocked.a_from_b, motion)
+    assert metres < 0.0015
+    assert degrees < 0.15
+    finest = a.levels[0], b.levels[0]
+    plain = dense.agreement(*finest, rigid.view_a_from_view_b).correlation
+    assert dense.agreement(*finest, rocked.view_a_from_view_b).correlation > plain + 0.1
+
+
+def test_the_error_of_a_refined_motion_is_what_its_covariance_says() -> None:
+    camera = photographer_of(floors.make_floor("concrete", 0.0, 0.001, seed=5))
+    normalised = []
+    for index in range(8):
+        motion = Pose2(0.04, 0.005 * index, 0.03 * index)
+        start = Pose2(0.3 * index, 0.0, 0.0)
+        a = prepared_of(camera, start, 2 * index)
+        b = prepared_of(camera, start @ motion, 2 * index + 1)
+        refined = dense.refine(a.levels, b.levels, motion, CALIBRATION, 0.0)
+        assert refined is not None
+        error = motion.inverse() @ refined.a_from_b
+        vector = np.array([error.x, error.y, error.theta])
+        normalised.append(float(vector @ np.linalg.solve(refined.covariance, vector)))
+    # Three degrees of freedom, eight times: the mean's 95 % band is 1.6 to 4.9; sigmas may be wide.
+    assert np.mean(normalised) < 4.9
+    assert max(normalised) < 20.0
+
+
+def test_floor_elsewhere_is_not_placed() -> None:
+    camera = photographer_of(floors.make_floor("asphalt", 0.0, 0.001, seed=3))
+    a, b = prepared_of(camera, Pose2(), 0), prepared_of(camera, Pose2(9.0, 4.0, 1.0), 1)
+    trial = compare(a, b, None, CALIBRATION, MapperOptions(), window=dense.Window())
+    assert trial.link is None
+    assert trial.reason
+
+
+def test_vignetting_does_not_hold_a_line_back() -> None:
+    """A lens darkens where a line is seen, not where it lies."""
+    camera = bare_course()
+    start, motion = on_circle(0.3), Pose2(0.05, 0.0, 0.08)
+    dark = DisturbanceOptions(vignetting=0.4, noise_gray=1.0)
+    a, b = prepared_of(camera, start, 0, dark), prepared_of(camera, start @ motion, 1, dark)
+    trial = compare(a, b, None, CALIBRATION, MapperOptions(), window=dense.Window())
+    assert trial.link is not None
+    metres, degrees = error_of(trial.link.a_from_b, motion)
+    assert metres < 0.003
+    assert degrees < 0.3
