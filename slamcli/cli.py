@@ -239,6 +239,35 @@ def match(
 
 
 @main.command()
+@click.argument("poses", type=options.PATH)
+@click.argument("truth", type=options.PATH)
+@click.option(
+    "--tolerance",
+    type=options.NOT_NEGATIVE,
+    default=0.01,
+    show_default=True,
+    help="Seconds by which the stamps of one moment may differ.",
+)
+@click.option(
+    "--delta",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Poses over which the relative error (RPE) is taken.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print everything measured, as JSON.")
+def evaluate(poses: Path, truth: Path, tolerance: float, delta: int, as_json: bool) -> None:
+    """Measure how far POSES are from the TRUTH.
+
+    Both are poses.csv, truth.csv, TUM or KITTI, matched by stamps, else by frame names.
+    """
+    from slamcli.run.evaluate import evaluate as run_evaluate
+
+    report = run_evaluate(poses, truth, tolerance_seconds=tolerance, delta=delta)
+    click.echo(report.json if as_json else "\n".join(report.lines))
+
+
+@main.command()
 @click.argument("photos", nargs=-1, required=True, type=options.PATH)
 @click.option(
     "--side",
