@@ -61,6 +61,12 @@ def main() -> None:
 @options.max_range
 @click.option("--frame-rate", type=options.POSITIVE, help="Frames per second, for stamps.")
 @click.option("--debug", is_flag=True, help="Also draw every frame's matches, into matches/.")
+@click.option(
+    "--export",
+    type=options.Choices(("tum", "kitti", "g2o")),
+    default="",
+    help="Also write, separated by commas: tum, kitti (trajectories), g2o (the pose graph).",
+)
 @options.mapper_options
 @options.feature_details
 @options.match_details
@@ -89,6 +95,7 @@ def stitch(
         max_range_metres=told["max_range"],
         frame_rate=told["frame_rate"],
         debug=told["debug"],
+        export=told["export"],
         workers=workers or default_workers(),
     )
     folder = output or default_output(frames[0], "mosaic")

@@ -11,9 +11,10 @@ from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2
 from slamcli.core.trajectory import Trajectory
 from slamcli.io.columns import HEADINGS, STAMPS, parse_table
-from slamcli.io.files import read_text
+from slamcli.io.files import read_text, write_text
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -167,3 +168,25 @@ def _refuse_lean(path: Path, up: NDArray[np.float64], lines: list[tuple[int, str
 
 def _plain(poses: NDArray[np.float64], stamps: NDArray[np.float64] | None) -> Trajectory:
     return Trajectory(poses, stamps, None, np.zeros(len(poses), np.int64), None)
+
+
+def write_tum(path: Path, stamps: Sequence[float], poses: Sequence[Pose2]) -> None:
+    """Write a line a pose: stamp (s), x, y, z (m, z 0) and a quaternion x, y, z, w."""
+    rows = [
+        f"{stamp:.6f} {pose.x:.9f} {pose.y:.9f} 0 0 0 "
+        f"{math.sin(pose.theta / 2):.12f} {math.cos(pose.theta / 2):.12f}\n"
+        for stamp, pose in zip(stamps, poses, strict=True)
+    ]
+    write_text(path, "".join(rows))
+
+
+def write_kitti(path: Path, poses: Sequence[Pose2]) -> None:
+    """Write a line a pose: the upper three rows of its (4, 4) matrix, z up; no stamps, no names."""
+    rows = []
+    for pose in poses:
+        cosine, sine = math.cos(pose.theta), math.sin(pose.theta)
+        rows.append(
+            f"{cosine:.12f} {-sine:.12f} 0 {pose.x:.9f} "
+            f"{sine:.12f} {cosine:.12f} 0 {pose.y:.9f} 0 0 1 0\n"
+        )
+    write_text(path, "".join(rows))
