@@ -61,6 +61,12 @@ def main() -> None:
 @options.max_range
 @click.option("--frame-rate", type=options.POSITIVE, help="Frames per second, for stamps.")
 @click.option("--debug", is_flag=True, help="Also draw every frame's matches, into matches/.")
+@click.option(
+    "--export",
+    type=options.Choices(("tum", "kitti", "g2o")),
+    default="",
+    help="Also write, separated by commas: tum, kitti (trajectories), g2o (the pose graph).",
+)
 @options.mapper_options
 @options.feature_details
 @options.match_details
@@ -89,6 +95,7 @@ def stitch(
         max_range_metres=told["max_range"],
         frame_rate=told["frame_rate"],
         debug=told["debug"],
+        export=told["export"],
         workers=workers or default_workers(),
     )
     folder = output or default_output(frames[0], "mosaic")
@@ -236,6 +243,35 @@ def match(
     report = run_match(first, second, calibration, output, resolved, overwrite=overwrite)
     click.echo(report.json if as_json else "\n".join(report.lines))
     sys.exit(report.exit_code)
+
+
+@main.command()
+@click.argument("poses", type=options.PATH)
+@click.argument("truth", type=options.PATH)
+@click.option(
+    "--tolerance",
+    type=options.NOT_NEGATIVE,
+    default=0.01,
+    show_default=True,
+    help="Seconds by which the stamps of one moment may differ.",
+)
+@click.option(
+    "--delta",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Poses over which the relative error (RPE) is taken.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print everything measured, as JSON.")
+def evaluate(poses: Path, truth: Path, tolerance: float, delta: int, as_json: bool) -> None:
+    """Measure how far POSES are from the TRUTH.
+
+    Both are poses.csv, truth.csv, TUM or KITTI, matched by stamps, else by frame names.
+    """
+    from slamcli.run.evaluate import evaluate as run_evaluate
+
+    report = run_evaluate(poses, truth, tolerance_seconds=tolerance, delta=delta)
+    click.echo(report.json if as_json else "\n".join(report.lines))
 
 
 @main.command()

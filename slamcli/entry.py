@@ -20,6 +20,7 @@ Options:
 Commands:
   calibrate  Calibrate from PHOTOS of a square.
   detect     Draw the points found in FRAMES.
+  evaluate   Measure how far POSES are from the TRUTH.
   match      Find the transform from FIRST to SECOND.
   simulate   Simulate a drive over a floor into OUTPUT.
   stitch     Stitch FRAMES into one map.

@@ -361,6 +361,22 @@ class Size(click.ParamType[tuple[int, int]]):
         return int(match[1]), int(match[2])
 
 
+class Choices(click.ParamType[tuple[str, ...]]):
+    """Any of some words, separated by commas."""
+
+    def __init__(self, words: tuple[str, ...]) -> None:
+        self.words = words
+        self.name = ",".join(words)
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[str, ...]:
+        """Return the words chosen, in their own order; a usage error says which there are."""
+        chosen = {word.strip() for word in value.split(",")} if isinstance(value, str) else value
+        unknown = sorted(set(chosen) - {*self.words, ""})
+        if unknown:
+            self.fail(f"{unknown[0]!r} is none of {', '.join(self.words)}", param, ctx)
+        return tuple(word for word in self.words if word in chosen)
+
+
 camera_options = stacked(
     click.option("--size", type=Size(), default="640x480", show_default=True),
     click.option("--height", type=POSITIVE, default=0.3, show_default=True, help="Metres."),

@@ -200,6 +200,32 @@ class Grid:
         )
 
 
+def pose_array(poses: Sequence[Pose2]) -> NDArray[np.float64]:
+    """Return poses as (N, 3): x, y (m), theta (rad)."""
+    return np.array([(pose.x, pose.y, pose.theta) for pose in poses], np.float64).reshape(-1, 3)
+
+
+def compose_poses(a_from_b: ArrayLike, b_from_c: ArrayLike) -> NDArray[np.float64]:
+    """Return ``a_from_c`` of (..., 3) poses x, y, theta, row by row; theta in [-pi, pi)."""
+    first = np.asarray(a_from_b, dtype=np.float64)
+    second = np.asarray(b_from_c, dtype=np.float64)
+    cosine, sine = np.cos(first[..., 2]), np.sin(first[..., 2])
+    x = first[..., 0] + cosine * second[..., 0] - sine * second[..., 1]
+    y = first[..., 1] + sine * second[..., 0] + cosine * second[..., 1]
+    theta = (first[..., 2] + second[..., 2] + math.pi) % math.tau - math.pi
+    return np.stack([x, y, theta], axis=-1)
+
+
+def relative_poses(c_from_a: ArrayLike, c_from_b: ArrayLike) -> NDArray[np.float64]:
+    """Return ``a_from_b`` of (..., 3) poses x, y, theta, row by row; theta in [-pi, pi)."""
+    first = np.asarray(c_from_a, dtype=np.float64)
+    second = np.asarray(c_from_b, dtype=np.float64)
+    cosine, sine = np.cos(first[..., 2]), np.sin(first[..., 2])
+    x, y = second[..., 0] - first[..., 0], second[..., 1] - first[..., 1]
+    theta = (second[..., 2] - first[..., 2] + math.pi) % math.tau - math.pi
+    return np.stack([cosine * x + sine * y, cosine * y - sine * x, theta], axis=-1)
+
+
 def path_length(poses: Sequence[Pose2]) -> float:
     """Return the sum of the distances between consecutive poses, in metres."""
     if len(poses) < 2:

@@ -1,4 +1,4 @@
-"""poses.csv: one row a frame, its pose in the map or why there is none; and paths like it."""
+"""poses.csv: one row a frame, its pose in the map or why there is none."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamcli.core.errors import InputError
-from slamcli.core.geometry import Pose2
-from slamcli.io.files import read_text, write_text
+from slamcli.io.files import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -66,31 +64,3 @@ def _row(estimate: PoseEstimate) -> list[str]:
         sigmas = [f"{math.sqrt(value):.3e}" for value in (*variances, covariance[2, 2])]
     score = "" if math.isnan(estimate.score) else f"{estimate.score:.4f}"
     return [*head, *place, *sigmas, str(estimate.inliers), score]
-
-
-def read_path(path: Path) -> list[Pose2]:
-    """Return the poses of a CSV with columns x, y (m), heading (rad); unplaced rows left out.
-
-    poses.csv and a simulation's truth.csv are such files.
-
-    Raises
-    ------
-    InputError
-        One line that names the file, and the row where there is one.
-    """
-    reader = csv.DictReader(io.StringIO(read_text(path, "poses")))
-    missing = {"x", "y", "heading"} - set(reader.fieldnames or ())
-    if missing:
-        raise InputError(f"{path} has no column {', '.join(sorted(missing))}; x, y, heading needed")
-    poses = []
-    for row in reader:
-        if not row["x"]:
-            continue
-        try:
-            values = [float(row[name]) for name in ("x", "y", "heading")]
-        except (TypeError, ValueError):
-            values = [math.nan]
-        if not all(map(math.isfinite, values)):
-            raise InputError(f"{path}, line {reader.line_num}: x, y, heading must be numbers")
-        poses.append(Pose2(*values))
-    return poses

@@ -7,18 +7,34 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from typing import TYPE_CHECKING
 
-from slamcli.io.files import write_text
+import numpy as np
+
+from slamcli.core.errors import InputError
+from slamcli.core.geometry import Pose2
+from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
+from slamcli.io.columns import HEADINGS, STAMPS, parse_table
+from slamcli.io.files import read_text, write_text
+from slamcli.io.trajectories import read_trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    import numpy as np
     from numpy.typing import NDArray
 
-    from slamcli.core.geometry import Pose2
+    from slamcli.io.columns import Table
+
+# Clockwise from north, as a hand-held compass reads.
+_BEARINGS = ("bearing", "azimuth")
+_LATITUDES, _LONGITUDES = ("latitude", "lat"), ("longitude", "lon", "lng", "long")
+_COMPASS_SIGMAS = ("sigma", "sigma_heading", "sigma_yaw")
+_GPS_SIGMAS = ("sigma", "sigma_metres", "accuracy", "horizontal_accuracy")
+# What cheap sensors do, for files that tell no sigma.
+_COMPASS_SIGMA_RADIANS = math.radians(3.0)
+_GPS_SIGMA_METRES = 3.0
 
 
 def write_truth(
@@ -58,6 +74,101 @@ def write_gps(
         for stamp, (latitude, longitude) in zip(stamps, places_degrees, strict=True)
     )
     _write(path, ("stamp", "latitude", "longitude", "sigma"), rows)
+
+
+def read_odometry(path: Path) -> list[OdometryReading]:
+    """Return the readings of a CSV with columns stamp (s), x, y (m), heading (rad), or of TUM.
+
+    ``heading_degrees`` is converted. The poses are integrated, from wherever it began.
+
+    Raises
+    ------
+    InputError
+        One line that names the file, and the line of it where there is one.
+    """
+    track = read_trajectory(path)
+    if track.stamps is None:
+        raise InputError(f"{path} has poses without stamps; odometry needs a column stamp")
+    _refuse_backwards(path, track.stamps, None)
+    return [
+        OdometryReading(stamp, Pose2(*pose))
+        for stamp, pose in zip(track.stamps.tolist(), track.poses.tolist(), strict=True)
+    ]
+
+
+def read_compass(path: Path) -> list[CompassReading]:
+    """Return the readings of a CSV with columns stamp (s), heading (rad) and perhaps sigma (rad).
+
+    Headings are counter-clockwise from east; a column ``bearing`` is clockwise from north. Each
+    may be in degrees: ``heading_degrees``, ``bearing_degrees``, ``sigma_degrees``.
+
+    Raises
+    ------
+    InputError
+        One line that names the file, and the line of it where there is one.
+    """
+    table = _read(path, "compass readings")
+    stamps = table.numbers(STAMPS)
+    if table.has_angles(_BEARINGS) and not table.has_angles(HEADINGS):
+        headings = math.pi / 2 - table.angles(_BEARINGS)
+    else:
+        headings = table.angles(HEADINGS)
+    sigmas = np.full(len(table), _COMPASS_SIGMA_RADIANS)
+    if table.has_angles(_COMPASS_SIGMAS):
+        sigmas = table.angles(_COMPASS_SIGMAS)
+    _refuse_backwards(path, stamps, table)
+    readings = []
+    for line, *row in zip(table.lines, stamps.tolist(), headings, sigmas, strict=True):
+        try:
+            readings.append(CompassReading(row[0], float(row[1]), float(row[2])))
+        except InputError as error:
+            raise InputError(f"{path}, line {line}: {error}") from error
+    return readings
+
+
+def read_gps(path: Path) -> list[GpsReading]:
+    """Return the readings of a CSV with columns stamp (s), latitude, longitude and perhaps sigma.
+
+    Degrees, WGS84; sigma in metres, east and north alike.
+
+    Raises
+    ------
+    InputError
+        One line that names the file, and the line of it where there is one.
+    """
+    table = _read(path, "GPS readings")
+    stamps = table.numbers(STAMPS)
+    latitudes, longitudes = table.numbers(_LATITUDES), table.numbers(_LONGITUDES)
+    sigmas = np.full(len(table), _GPS_SIGMA_METRES)
+    if table.has(_GPS_SIGMAS):
+        sigmas = table.numbers(_GPS_SIGMAS)
+    _refuse_backwards(path, stamps, table)
+    readings = []
+    columns = (latitudes, longitudes, sigmas)
+    for line, *row in zip(table.lines, stamps.tolist(), *columns, strict=True):
+        try:
+            readings.append(GpsReading(row[0], float(row[1]), float(row[2]), float(row[3])))
+        except InputError as error:
+            raise InputError(f"{path}, line {line}: {error}") from error
+    return readings
+
+
+def _read(path: Path, what: str) -> Table:
+    table = parse_table(path, read_text(path, what))
+    if not len(table):
+        raise InputError(f"{path} has no {what}")
+    return table
+
+
+def _refuse_backwards(path: Path, stamps: NDArray[np.float64], table: Table | None) -> None:
+    backwards = np.flatnonzero(np.diff(stamps) < 0.0)
+    if len(backwards):
+        row = int(backwards[0]) + 1
+        place = f"line {table.lines[row]}" if table is not None else f"reading {row + 1}"
+        raise InputError(
+            f"{path}, {place}: the stamp {stamps[row]:.6f} comes after {stamps[row - 1]:.6f}; "
+            "sort the readings by time"
+        )
 
 
 def _pose(pose: Pose2) -> tuple[str, str, str]:

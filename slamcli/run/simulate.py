@@ -16,7 +16,7 @@ from slamcli.io import telemetry
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import output_folder, write_image
 from slamcli.io.frames import read_image
-from slamcli.io.poses import read_path
+from slamcli.io.trajectories import read_path
 from slamcli.run.executor import ordered
 from slamcli.stages import camera
 from slamcli.stages.simulate import drive, floors, photograph
@@ -121,7 +121,7 @@ def _poses(options: SimulationOptions) -> list[Pose2]:
     path = Path(options.path)
     if not path.is_file():
         kinds = ", ".join(drive.PATHS)
-        raise InputError(f"--path {path}: neither {kinds} nor a CSV file of poses")
+        raise InputError(f"--path {path}: neither {kinds} nor a file of poses")
     poses = read_path(path)
     if len(poses) < 2:
         raise InputError(f"{path} has {len(poses)} poses; at least 2 are needed for a drive")

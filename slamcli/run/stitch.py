@@ -17,6 +17,7 @@ from slamcli.io.frames import read_frame
 from slamcli.io.poses import write_poses
 from slamcli.mapper import Mapper, placed_fragments
 from slamcli.painter import Painter
+from slamcli.run import exports
 from slamcli.run.executor import ordered
 from slamcli.run.inputs import open_inputs
 from slamcli.stages import camera, view
@@ -46,6 +47,7 @@ PRODUCTS = (
     "poses.csv",
     "trajectory*.png",
     "run.toml",
+    *exports.PRODUCTS,
 )
 DEBUG_PRODUCTS = "matches"
 # A PNG of more than this would not open in most viewers.
@@ -67,6 +69,8 @@ class StitchOptions:
         Frames per second, for stamps.
     debug : bool
         Also draw every frame's matches.
+    export : tuple of str
+        What else to write; see `slamcli.run.exports`.
     workers : int
         Threads.
     """
@@ -76,6 +80,7 @@ class StitchOptions:
     max_range_metres: float | None = None
     frame_rate: float | None = None
     debug: bool = False
+    export: tuple[str, ...] = ()
     workers: int = 1
 
 
@@ -104,12 +109,14 @@ def stitch(
     """
     started = time.monotonic()
     inputs = open_inputs(sources, calibration_path, options.frame_rate, options.max_range_metres)
+    exports.check_exports(options.export, inputs.files)
     with output_folder(output, (*PRODUCTS, DEBUG_PRODUCTS), overwrite=overwrite) as staging:
         mapper = Mapper(inputs.calibration, options.mapper)
         estimates = _locate(mapper, inputs, options, staging, progress)
         area = _write_maps(inputs, estimates, options, staging, progress)
         write_poses(staging / "poses.csv", estimates)
         seconds = time.monotonic() - started
+        exports.write_exports(staging, options.export, estimates, mapper.links)
         _write_run(staging, inputs, options, estimates, mapper)
     return _report(inputs, estimates, area, seconds, output)
 

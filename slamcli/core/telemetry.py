@@ -1,0 +1,124 @@
+"""What the robot's other senses say, one record a reading, and how far each is to be trusted."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from slamcli.core.errors import InputError
+
+if TYPE_CHECKING:
+    from slamcli.core.geometry import Pose2
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryReading:
+    """Wheels (or legs, or an inertial unit) added up.
+
+    Attributes
+    ----------
+    stamp : float
+        Seconds.
+    pose : Pose2
+        ``odom_from_robot``, from wherever the adding up began; it drifts and never jumps.
+    """
+
+    stamp: float
+    pose: Pose2
+
+    def __post_init__(self) -> None:
+        _refuse_nonsense("odometry", (self.stamp, self.pose.x, self.pose.y, self.pose.theta))
+
+
+@dataclass(frozen=True, slots=True)
+class CompassReading:
+    """Which way the robot looks.
+
+    Attributes
+    ----------
+    stamp : float
+        Seconds.
+    heading_radians : float
+        Counter-clockwise from east (ROS REP 103), off by a declination that all readings share.
+    sigma_radians : float
+        One standard deviation, without the declination.
+    """
+
+    stamp: float
+    heading_radians: float
+    sigma_radians: float
+
+    def __post_init__(self) -> None:
+        _refuse_nonsense("compass", (self.stamp, self.heading_radians), self.sigma_radians)
+
+
+@dataclass(frozen=True, slots=True)
+class GpsReading:
+    """Where on Earth the antenna is.
+
+    Attributes
+    ----------
+    stamp : float
+        Seconds.
+    latitude_degrees, longitude_degrees : float
+        WGS84.
+    sigma_metres : float
+        One standard deviation, east and north alike.
+    """
+
+    stamp: float
+    latitude_degrees: float
+    longitude_degrees: float
+    sigma_metres: float
+
+    def __post_init__(self) -> None:
+        place = (self.latitude_degrees, self.longitude_degrees)
+        _refuse_nonsense("GPS", (self.stamp, *place), self.sigma_metres)
+        if abs(place[0]) > 90.0 or abs(place[1]) > 360.0:
+            raise InputError(f"a GPS reading at latitude {place[0]:g}, longitude {place[1]:g}")
+
+
+def _refuse_nonsense(what: str, values: tuple[float, ...], sigma: float = 1.0) -> None:
+    if not all(map(math.isfinite, values)):
+        raise InputError(f"a reading of the {what} is not finite: {values}")
+    if not 0.0 < sigma < math.inf:
+        raise InputError(f"a reading of the {what} has sigma {sigma:g}; it must be positive")
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetryOptions:
+    """How the other senses are read.
+
+    Odometry errs mostly by constants that belong to wheels and floor: 2 % too long stays 2 % too
+    long. Its variance therefore grows with distance times `odometry_memory_metres`, so that after
+    that distance the sigma is the whole share, and it does not depend on how often one looks.
+
+    Attributes
+    ----------
+    time_offset_seconds : float
+        Added to the readings' stamps to get the frames' clock.
+    lever_arm_metres : (float, float) or None
+        Of the GPS antenna, ahead and to the left of the robot's origin; None estimates it.
+    odometry_distance_share : float
+        One standard deviation of the distance, as a share of it.
+    odometry_heading_per_metre : float
+        Of the heading, radians for each metre.
+    odometry_turn_share : float
+        Of a turn, as a share of it.
+    odometry_metres, odometry_radians : float
+        Of each motion besides, however short.
+    odometry_memory_metres : float
+    longest_gap_seconds : float
+        Between two readings of odometry that are interpolated.
+    """
+
+    time_offset_seconds: float = 0.0
+    lever_arm_metres: tuple[float, float] | None = (0.0, 0.0)
+    odometry_distance_share: float = 0.02
+    odometry_heading_per_metre: float = 0.005
+    odometry_turn_share: float = 0.02
+    odometry_metres: float = 0.0005
+    odometry_radians: float = 0.0005
+    odometry_memory_metres: float = 10.0
+    longest_gap_seconds: float = 0.5

@@ -1,0 +1,147 @@
+"""A path with what is known of each of its poses, wherever it was written, and how good it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from slamcli.core.geometry import Pose2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Poses in the order of their making; frames without a pose are left out.
+
+    Attributes
+    ----------
+    poses : (N, 3) float64
+        ``map_from_robot``: x, y (m), heading (rad, counter-clockwise).
+    stamps : (N,) float64 or None
+        Seconds; None when any pose has none.
+    names : tuple of str or None
+        Of the frames; None when any pose has none.
+    fragments : (N,) int64
+        Which connected map each pose belongs to.
+    sigmas : (N, 3) float64 or None
+        One standard deviation of x, y (m, along the map's axes) and heading (rad); nan where it
+        is not known.
+    unplaced : int
+        How many frames the file tells of that have no pose.
+    """
+
+    poses: NDArray[np.float64]
+    stamps: NDArray[np.float64] | None
+    names: tuple[str, ...] | None
+    fragments: NDArray[np.int64]
+    sigmas: NDArray[np.float64] | None
+    unplaced: int = 0
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """Of the absolute values of some errors, in their unit; nan without any.
+
+    Attributes
+    ----------
+    rmse : float
+        Root mean square.
+    mean, median, largest : float
+    """
+
+    rmse: float
+    mean: float
+    median: float
+    largest: float
+
+
+@dataclass(frozen=True, slots=True)
+class Consistency:
+    """Whether the sigmas tell the truth.
+
+    Attributes
+    ----------
+    count : int
+        Poses with sigmas.
+    nees : float
+        Mean squared error over variance, added up over x, y and heading: 3 for honest sigmas,
+        more when they are too small (Bar-Shalom, Li, Kirubarajan, Estimation with Applications
+        to Tracking and Navigation, 2001, sec. 5.4).
+    within_95_percent : float
+        Share of the poses inside their own 95 % bound (chi-squared, 3 degrees of freedom).
+    """
+
+    count: int
+    nees: float
+    within_95_percent: float
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """How far one fragment, or all of them, is from the truth.
+
+    Attributes
+    ----------
+    fragment : int or None
+        None for all fragments together, each aligned for itself.
+    poses : int
+        Compared with the truth.
+    path_metres : float
+        Length of the truth's path through those poses.
+    absolute : Statistics
+        ATE: metres between places, after the best rigid alignment.
+    absolute_share_of_path : float
+        Its root mean square over the path's length.
+    heading : Statistics
+        Degrees, after the same alignment.
+    relative : Statistics
+        RPE: metres, of the motion over `delta` poses.
+    relative_heading : Statistics
+        Degrees, of the same.
+    delta : int
+    truth_from_map : Pose2 or None
+        The alignment; None for all fragments together.
+    consistency : Consistency or None
+        None when the poses carry no sigmas.
+    """
+
+    fragment: int | None
+    poses: int
+    path_metres: float
+    absolute: Statistics
+    absolute_share_of_path: float
+    heading: Statistics
+    relative: Statistics
+    relative_heading: Statistics
+    delta: int
+    truth_from_map: Pose2 | None
+    consistency: Consistency | None
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """A whole trajectory against its truth.
+
+    Attributes
+    ----------
+    matched_by : str
+        ``stamps``, ``frame names`` or ``order``.
+    matched, truth_poses, unplaced : int
+        Poses compared; poses of the truth; frames that the estimate could not place.
+    whole : Accuracy
+    fragments : tuple of Accuracy
+        Those with a pose that the truth knows, by number.
+    """
+
+    matched_by: str
+    matched: int
+    truth_poses: int
+    unplaced: int
+    whole: Accuracy
+    fragments: tuple[Accuracy, ...]

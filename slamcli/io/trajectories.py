@@ -1,0 +1,192 @@
+"""Trajectories of any of the field's kinds: poses.csv, truth.csv, TUM and KITTI."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.core.errors import InputError
+from slamcli.core.geometry import Pose2
+from slamcli.core.trajectory import Trajectory
+from slamcli.io.columns import HEADINGS, STAMPS, parse_table
+from slamcli.io.files import read_text, write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from slamcli.io.columns import Table
+
+_TUM_FIELDS, _KITTI_FIELDS = 8, 12
+_X, _Y = ("x", "px", "tx"), ("y", "py", "ty")
+_NAMES = ("frame", "name", "file", "filename")
+_SIGMAS = (("sigma_x",), ("sigma_y",), ("sigma_heading", "sigma_theta", "sigma_yaw"))
+# A robot on a floor leans less than this; more means that z does not point up.
+_MOST_LEAN_DEGREES = 15.0
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """Return the poses of a file, its format told by its content.
+
+    - CSV with a header and the columns x, y (m), heading (rad; or heading_degrees); stamp, frame,
+      fragment and sigma_x, sigma_y, sigma_heading where there are such. Rows without x are frames
+      without a pose. poses.csv and truth.csv are such files.
+    - TUM: eight numbers a line, stamp, x, y, z, and a quaternion x, y, z, w.
+    - KITTI: twelve numbers a line, the upper three rows of a pose's matrix.
+
+    In TUM and KITTI files z must point up from the floor.
+
+    Raises
+    ------
+    InputError
+        One line that names the file, and the line of it where there is one.
+    """
+    text = read_text(path, "poses").removeprefix("\ufeff")
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not lines:
+        raise InputError(f"{path} is empty; poses are needed")
+    first = lines[0][1].replace(",", " ").split()
+    if not _is_number(first[0]):
+        return _from_table(parse_table(path, text))
+    if len(first) not in {_TUM_FIELDS, _KITTI_FIELDS}:
+        raise InputError(
+            f"{path}, line {lines[0][0]}: {len(first)} fields without a header; needed is a CSV "
+            f"with a header, {_TUM_FIELDS} numbers (TUM) or {_KITTI_FIELDS} (KITTI)"
+        )
+    numbers = _matrix(path, lines, len(first))
+    if len(first) == _TUM_FIELDS:
+        return _plain(_poses_of_quaternions(path, numbers[:, 1:], lines), numbers[:, 0])
+    return _plain(_poses_of_matrices(path, numbers.reshape(-1, 3, 4), lines), None)
+
+
+def read_path(path: Path) -> list[Pose2]:
+    """Return the poses alone of any file that `read_trajectory` reads."""
+    return [Pose2(*map(float, row)) for row in read_trajectory(path).poses]
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _from_table(table: Table) -> Trajectory:
+    x, y = table.numbers(_X, blank=True), table.numbers(_Y, blank=True)
+    heading = table.angles(HEADINGS, blank=True)
+    placed = ~np.isnan(x)
+    broken = placed & (np.isnan(y) | np.isnan(heading))
+    if broken.any():
+        line = table.lines[int(np.argmax(broken))]
+        raise InputError(f"{table.path}, line {line}: x, y, heading must be numbers")
+    theta = (heading[placed] + math.pi) % math.tau - math.pi
+    fragments = np.zeros(len(table))
+    if table.has(("fragment",)):
+        fragments = np.nan_to_num(table.numbers(("fragment",), blank=True))
+    sigmas = None
+    if all(table.has(names) for names in _SIGMAS):
+        columns = [table.numbers(names, blank=True)[placed] for names in _SIGMAS]
+        sigmas = np.column_stack(columns)
+    return Trajectory(
+        np.column_stack([x[placed], y[placed], theta]),
+        _stamps(table, placed),
+        _names(table, placed),
+        fragments[placed].astype(np.int64),
+        None if sigmas is None or np.isnan(sigmas).all() else sigmas,
+        int((~placed).sum()),
+    )
+
+
+def _stamps(table: Table, placed: NDArray[np.bool_]) -> NDArray[np.float64] | None:
+    if not table.has(STAMPS):
+        return None
+    stamps = table.numbers(STAMPS, blank=True)[placed]
+    return None if np.isnan(stamps).any() else stamps
+
+
+def _names(table: Table, placed: NDArray[np.bool_]) -> tuple[str, ...] | None:
+    if not table.has(_NAMES):
+        return None
+    names = tuple(np.array(table.words(_NAMES), dtype=object)[placed])
+    return names if all(names) else None
+
+
+def _matrix(path: Path, lines: list[tuple[int, str]], width: int) -> NDArray[np.float64]:
+    rows = []
+    for number, line in lines:
+        words = line.replace(",", " ").split()
+        if len(words) != width or not all(map(_is_number, words)):
+            raise InputError(f"{path}, line {number}: {width} numbers are needed")
+        rows.append([float(word) for word in words])
+    matrix = np.array(rows)
+    if not np.isfinite(matrix).all():
+        number = lines[int(np.argmin(np.isfinite(matrix).all(axis=1)))][0]
+        raise InputError(f"{path}, line {number}: a number is not finite")
+    return matrix
+
+
+def _poses_of_quaternions(
+    path: Path, numbers: NDArray[np.float64], lines: list[tuple[int, str]]
+) -> NDArray[np.float64]:
+    norms = np.linalg.norm(numbers[:, 3:], axis=1)
+    if np.any(np.abs(norms - 1.0) > 0.01):
+        number = lines[int(np.argmax(np.abs(norms - 1.0)))][0]
+        raise InputError(f"{path}, line {number}: the quaternion is not of length 1")
+    x, y, z, w = numbers[:, 3:].T / norms
+    up = 1.0 - 2.0 * (x * x + y * y)
+    _refuse_lean(path, up, lines)
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return np.column_stack([numbers[:, :2], yaw])
+
+
+def _poses_of_matrices(
+    path: Path, matrices: NDArray[np.float64], lines: list[tuple[int, str]]
+) -> NDArray[np.float64]:
+    _refuse_lean(path, matrices[:, 2, 2], lines)
+    yaw = np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0])
+    return np.column_stack([matrices[:, :2, 3], yaw])
+
+
+def _refuse_lean(path: Path, up: NDArray[np.float64], lines: list[tuple[int, str]]) -> None:
+    leaning = up < math.cos(math.radians(_MOST_LEAN_DEGREES))
+    if leaning.any():
+        number = lines[int(np.argmax(leaning))][0]
+        raise InputError(
+            f"{path}, line {number}: the pose leans by more than {_MOST_LEAN_DEGREES:g} degrees; "
+            "z must point up from the floor"
+        )
+
+
+def _plain(poses: NDArray[np.float64], stamps: NDArray[np.float64] | None) -> Trajectory:
+    return Trajectory(poses, stamps, None, np.zeros(len(poses), np.int64), None)
+
+
+def write_tum(path: Path, stamps: Sequence[float], poses: Sequence[Pose2]) -> None:
+    """Write a line a pose: stamp (s), x, y, z (m, z 0) and a quaternion x, y, z, w."""
+    rows = [
+        f"{stamp:.6f} {pose.x:.9f} {pose.y:.9f} 0 0 0 "
+        f"{math.sin(pose.theta / 2):.12f} {math.cos(pose.theta / 2):.12f}\n"
+        for stamp, pose in zip(stamps, poses, strict=True)
+    ]
+    write_text(path, "".join(rows))
+
+
+def write_kitti(path: Path, poses: Sequence[Pose2]) -> None:
+    """Write a line a pose: the upper three rows of its (4, 4) matrix, z up; no stamps, no names."""
+    rows = []
+    for pose in poses:
+        cosine, sine = math.cos(pose.theta), math.sin(pose.theta)
+        rows.append(
+            f"{cosine:.12f} {-sine:.12f} 0 {pose.x:.9f} "
+            f"{sine:.12f} {cosine:.12f} 0 {pose.y:.9f} 0 0 1 0\n"
+        )
+    write_text(path, "".join(rows))

@@ -1,0 +1,216 @@
+"""How far a trajectory is from the truth, and whether its sigmas admit as much.
+
+ATE and RPE as in Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012,
+in the plane: the evo package gives the same numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.stats import chi2
+
+from slamcli.core.errors import InputError
+from slamcli.core.geometry import Pose2, compose_poses, relative_poses
+from slamcli.core.trajectory import Accuracy, Consistency, Evaluation, Statistics
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.core.trajectory import Trajectory
+
+_BOUND_95 = float(chi2.ppf(0.95, 3))
+
+
+def evaluate(
+    estimate: Trajectory, truth: Trajectory, *, tolerance_seconds: float, delta: int
+) -> Evaluation:
+    """Compare two trajectories pose by pose, every fragment under its own alignment.
+
+    Parameters
+    ----------
+    estimate, truth : Trajectory
+    tolerance_seconds : float
+        Most that two stamps may differ by to be of the same moment.
+    delta : int
+        Over how many poses the relative motion is compared, at least 1.
+
+    Raises
+    ------
+    InputError
+        When the two have no moments in common, or nothing to find them by.
+    """
+    matched_by, ours, theirs = match_poses(estimate, truth, tolerance_seconds)
+    numbers = estimate.fragments[ours]
+    parts = []
+    for fragment in np.unique(numbers):
+        chosen = numbers == fragment
+        poses, true_poses = estimate.poses[ours[chosen]], truth.poses[theirs[chosen]]
+        sigmas = None if estimate.sigmas is None else estimate.sigmas[ours[chosen]]
+        parts.append(_Errors(int(fragment), poses, true_poses, sigmas, delta))
+    return Evaluation(
+        matched_by,
+        len(ours),
+        len(truth),
+        estimate.unplaced,
+        _accuracy(None, parts, delta),
+        tuple(_accuracy(part.fragment, [part], delta) for part in parts),
+    )
+
+
+def match_poses(
+    estimate: Trajectory, truth: Trajectory, tolerance_seconds: float
+) -> tuple[str, NDArray[np.int64], NDArray[np.int64]]:
+    """Return by what poses were matched, and the indices of the pairs in both trajectories."""
+    if estimate.stamps is not None and truth.stamps is not None:
+        pairs = _nearest_pairs(estimate.stamps, truth.stamps, tolerance_seconds)
+        if not len(pairs):
+            spans = [f"{s.min():.3f} to {s.max():.3f} s" for s in (estimate.stamps, truth.stamps)]
+            raise InputError(
+                f"no stamps within {tolerance_seconds:g} s of one another: the poses span "
+                f"{spans[0]}, the truth {spans[1]}"
+            )
+        return "stamps", pairs[:, 0], pairs[:, 1]
+    if estimate.names is not None and truth.names is not None:
+        places = {name: index for index, name in enumerate(truth.names)}
+        common = [(i, places[name]) for i, name in enumerate(estimate.names) if name in places]
+        if not common:
+            raise InputError(
+                f"no frame name in common: the poses begin with {estimate.names[0]}, "
+                f"the truth with {truth.names[0]}"
+            )
+        pairs = np.array(common, dtype=np.int64)
+        return "frame names", pairs[:, 0], pairs[:, 1]
+    if len(estimate) != len(truth):
+        raise InputError(
+            f"{len(estimate)} poses and {len(truth)} true ones without stamps or names in common; "
+            "only files of equal length can be compared row by row"
+        )
+    rows = np.arange(len(truth))
+    return "order", rows, rows
+
+
+def align(points: NDArray[np.float64], true_points: NDArray[np.float64]) -> Pose2:
+    """Return ``truth_from_map``, the rigid motion that brings (N, 2) points nearest to others.
+
+    Least squares without scale (Umeyama, PAMI 1991, eqs. 40-41; in the plane the rotation is the
+    angle of one complex sum).
+    """
+    centre, true_centre = points.mean(axis=0), true_points.mean(axis=0)
+    a, b = points - centre, true_points - true_centre
+    turn = math.atan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
+    moved = Pose2(0.0, 0.0, turn).apply(centre)
+    return Pose2(float(true_centre[0] - moved[0]), float(true_centre[1] - moved[1]), turn)
+
+
+class _Errors:
+    """The errors of one fragment, each in an array; the absolute ones after alignment."""
+
+    def __init__(
+        self,
+        fragment: int,
+        poses: NDArray[np.float64],
+        true_poses: NDArray[np.float64],
+        sigmas: NDArray[np.float64] | None,
+        delta: int,
+    ) -> None:
+        self.fragment = fragment
+        self.count = len(poses)
+        self.truth_from_map = align(poses[:, :2], true_poses[:, :2])
+        pose = self.truth_from_map
+        aligned = compose_poses((pose.x, pose.y, pose.theta), poses)
+        self.places = np.linalg.norm(aligned[:, :2] - true_poses[:, :2], axis=1)
+        self.headings = np.degrees(np.abs(relative_poses(true_poses, aligned)[:, 2]))
+        motions = relative_poses(poses[:-delta:delta], poses[delta::delta])
+        true_motions = relative_poses(true_poses[:-delta:delta], true_poses[delta::delta])
+        differences = relative_poses(true_motions, motions)
+        self.steps = np.linalg.norm(differences[:, :2], axis=1)
+        self.turns = np.degrees(np.abs(differences[:, 2]))
+        self.path = float(np.linalg.norm(np.diff(true_poses[:, :2], axis=0), axis=1).sum())
+        self.normalised = (
+            np.empty(0) if sigmas is None else _normalised_errors(poses, true_poses, sigmas)
+        )
+
+
+def _accuracy(fragment: int | None, parts: list[_Errors], delta: int) -> Accuracy:
+    path = sum(part.path for part in parts)
+    absolute = _statistics([part.places for part in parts])
+    normalised = np.concatenate([part.normalised for part in parts])
+    consistency = None
+    if len(normalised):
+        within = float((normalised <= _BOUND_95).mean())
+        consistency = Consistency(len(normalised), float(normalised.mean()), within)
+    return Accuracy(
+        fragment,
+        sum(part.count for part in parts),
+        path,
+        absolute,
+        absolute.rmse / path if path else math.nan,
+        _statistics([part.headings for part in parts]),
+        _statistics([part.steps for part in parts]),
+        _statistics([part.turns for part in parts]),
+        delta,
+        None if fragment is None else parts[0].truth_from_map,
+        consistency,
+    )
+
+
+def _statistics(parts: list[NDArray[np.float64]]) -> Statistics:
+    errors = np.concatenate(parts)
+    if not len(errors):
+        return Statistics(math.nan, math.nan, math.nan, math.nan)
+    return Statistics(
+        float(np.sqrt(np.mean(errors**2))),
+        float(errors.mean()),
+        float(np.median(errors)),
+        float(errors.max()),
+    )
+
+
+def _normalised_errors(
+    poses: NDArray[np.float64], true_poses: NDArray[np.float64], sigmas: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the squared error over variance, summed over x, y, heading, of each pose but one.
+
+    The map is where its surest pose is, so that pose is laid on its truth and left out. A best
+    alignment would hide a part of the error.
+    """
+    known = np.flatnonzero(np.isfinite(sigmas).all(axis=1) & (sigmas > 0.0).all(axis=1))
+    if len(known) < 2:
+        return np.empty(0)
+    anchor = known[int(np.argmin(np.sum(sigmas[known] ** 2, axis=1)))]
+    rest = known[known != anchor]
+    motions = relative_poses(true_poses[anchor], true_poses[rest])
+    expected = compose_poses(poses[anchor], motions)
+    error = poses[rest] - expected
+    error[:, 2] = relative_poses(expected, poses[rest])[:, 2]
+    summed: NDArray[np.float64] = np.sum((error / sigmas[rest]) ** 2, axis=1)
+    return summed
+
+
+def _nearest_pairs(
+    stamps: NDArray[np.float64], true_stamps: NDArray[np.float64], tolerance_seconds: float
+) -> NDArray[np.int64]:
+    """Return (M, 2) indices of stamps nearest to one another, each used once, in time's order."""
+    ours, theirs = np.argsort(stamps, kind="stable"), np.argsort(true_stamps, kind="stable")
+    turned = len(theirs) < len(ours)
+    few, many = (
+        (true_stamps[theirs], stamps[ours]) if turned else (stamps[ours], true_stamps[theirs])
+    )
+    after = np.clip(np.searchsorted(many, few), 1, max(1, len(many) - 1))
+    before = after - 1
+    after = np.minimum(after, len(many) - 1)
+    nearest = np.where(np.abs(many[after] - few) < np.abs(few - many[before]), after, before)
+    distances = np.abs(many[nearest] - few)
+    best: dict[int, int] = {}
+    for index in np.flatnonzero(distances <= tolerance_seconds):
+        rival = best.get(int(nearest[index]))
+        if rival is None or distances[index] < distances[rival]:
+            best[int(nearest[index])] = int(index)
+    pairs = [
+        (ours[other], theirs[index]) if turned else (ours[index], theirs[other])
+        for other, index in best.items()
+    ]
+    return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)

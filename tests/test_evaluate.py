@@ -1,0 +1,255 @@
+"""`slam evaluate`: errors known by hand, and evo's numbers on the same files."""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from slamcli.cli import main
+from slamcli.core.errors import InputError
+from slamcli.core.geometry import Pose2, compose_poses, pose_array, relative_poses
+from slamcli.core.trajectory import Trajectory
+from slamcli.io.trajectories import read_trajectory
+from slamcli.stages import evaluation
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(main, ["evaluate", *(str(argument) for argument in arguments)])
+
+
+def trajectory(poses: np.ndarray, **known: Any) -> Trajectory:
+    fields = {"stamps": None, "names": None, "fragments": np.zeros(len(poses), int), "sigmas": None}
+    return Trajectory(np.asarray(poses, float), **{**fields, **known})
+
+
+def lap(count: int = 60) -> np.ndarray:
+    angles = np.linspace(0.0, 6.0, count)
+    return pose_array([Pose2(2 * math.sin(a), 2 - 2 * math.cos(a), a) for a in angles])
+
+
+def test_errors_known_by_hand() -> None:
+    truth = np.array([[float(i), 0.0, 0.0] for i in range(5)])
+    estimate = truth.copy()
+    estimate[:, 1] = [0.1, -0.1, 0.0, -0.1, 0.1]
+    estimate[2, 2] = 0.02
+    found = evaluation.evaluate(
+        trajectory(compose_poses((3.0, -1.0, 0.5), estimate)),
+        trajectory(truth),
+        tolerance_seconds=0.01,
+        delta=1,
+    ).whole
+    assert found.path_metres == pytest.approx(4.0)
+    assert found.absolute.rmse == pytest.approx(math.sqrt(4 * 0.01 / 5))
+    assert found.absolute.mean == pytest.approx(0.08)
+    assert found.absolute.median == pytest.approx(0.1)
+    assert found.absolute.largest == pytest.approx(0.1)
+    assert found.absolute_share_of_path == pytest.approx(found.absolute.rmse / 4)
+    assert found.heading.largest == pytest.approx(math.degrees(0.02))
+    # From the third pose, turned by 0.02, the step ahead leads 0.02 m aside, and 0.1 m besides.
+    assert found.relative.largest == pytest.approx(0.2)
+    assert found.relative.mean == pytest.approx((0.2 + 0.1 + 0.2 + 0.12) / 4, abs=1e-4)
+
+
+def test_sigmas_are_weighed_from_the_surest_pose() -> None:
+    generator = np.random.default_rng(0)
+    truth = lap(2000)
+    sigmas = np.tile([0.02, 0.01, 0.005], (len(truth), 1))
+    estimate = truth + sigmas * generator.standard_normal(truth.shape)
+    estimate[0], sigmas[0] = truth[0], 1e-6
+    world = (1.0, 2.0, -2.0)
+
+    def nees(factor: float) -> tuple[float, float]:
+        found = evaluation.evaluate(
+            trajectory(estimate, sigmas=factor * sigmas),
+            trajectory(compose_poses(world, truth)),
+            tolerance_seconds=0.0,
+            delta=1,
+        ).whole.consistency
+        assert found is not None
+        assert found.count == 1999
+        return found.nees, found.within_95_percent
+
+    honest, within = nees(1.0)
+    assert honest == pytest.approx(3.0, abs=0.2)
+    assert within == pytest.approx(0.95, abs=0.02)
+    assert nees(0.5)[0] == pytest.approx(4 * honest)
+    assert nees(0.5)[1] < 0.6
+
+
+def test_fragments_are_aligned_each_for_itself() -> None:
+    truth = lap()
+    fragments = np.repeat([0, 3], 30)
+    estimate = truth.copy()
+    estimate[30:] = compose_poses((5.0, 5.0, 1.0), estimate[30:])
+    estimate[40, 0] += 0.3
+    found = evaluation.evaluate(
+        trajectory(estimate, fragments=fragments), trajectory(truth), tolerance_seconds=0, delta=1
+    )
+    first, second = found.fragments
+    assert (first.fragment, second.fragment) == (0, 3)
+    assert first.absolute.largest == pytest.approx(0.0, abs=1e-9)
+    assert second.absolute.largest == pytest.approx(0.29, abs=0.01)
+    assert found.whole.poses == 60
+    assert found.whole.truth_from_map is None
+    squares = 30 * second.absolute.rmse**2
+    assert found.whole.absolute.rmse == pytest.approx(math.sqrt(squares / 60))
+    # The jump from one fragment to the next is nobody's error.
+    assert found.whole.relative.largest == pytest.approx(second.relative.largest)
+
+
+def test_poses_are_matched_by_stamps_else_names_else_order() -> None:
+    poses = lap(6)
+    stamps = np.arange(6.0)
+    names = tuple("abcdef")
+    truth = trajectory(poses, stamps=stamps, names=names)
+    early = trajectory(poses[[1, 2, 4]], stamps=np.array([1.004, 1.9, 4.0]), names=("x", "y", "z"))
+    by, ours, theirs = evaluation.match_poses(early, truth, 0.01)
+    assert (by, ours.tolist(), theirs.tolist()) == ("stamps", [0, 2], [1, 4])
+    # A moment is used once, by the nearest.
+    crowd = trajectory(poses[:3], stamps=np.array([2.0, 2.006, 2.001]))
+    _, ours, theirs = evaluation.match_poses(
+        crowd, trajectory(poses[:4], stamps=np.array([2.0001, 5.0, 6.0, 7.0])), 0.01
+    )
+    assert (ours.tolist(), theirs.tolist()) == ([0], [0])
+    unstamped = trajectory(poses[[4, 0]], names=("e", "a"))
+    by, ours, theirs = evaluation.match_poses(unstamped, truth, 0.01)
+    assert (by, ours.tolist(), theirs.tolist()) == ("frame names", [0, 1], [4, 0])
+    assert evaluation.match_poses(trajectory(poses), trajectory(poses), 0.01)[0] == "order"
+    with pytest.raises(InputError, match="span 100"):
+        evaluation.match_poses(trajectory(poses, stamps=stamps + 100), truth, 0.01)
+    with pytest.raises(InputError, match="5 poses and 6 true ones"):
+        evaluation.match_poses(trajectory(poses[:5]), trajectory(poses), 0.01)
+
+
+def write_tum(path: Path, stamps: np.ndarray, poses: np.ndarray) -> None:
+    rows = [
+        f"{s!r} {x!r} {y!r} 0.0 0.0 0.0 {math.sin(a / 2)!r} {math.cos(a / 2)!r}"
+        for s, (x, y, a) in zip(stamps.tolist(), poses.tolist(), strict=True)
+    ]
+    path.write_text("# timestamp tx ty tz qx qy qz qw\n" + "\n".join(rows) + "\n")
+
+
+@pytest.mark.parametrize("delta", [1, 3])
+def test_evo_measures_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, delta: int) -> None:
+    # evo writes its settings into the home folder when it is first imported.
+    monkeypatch.setenv("HOME", str(tmp_path))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from evo.core import metrics, sync
+        from evo.tools import file_interface
+
+        generator = np.random.default_rng(5)
+        truth = lap(200)
+        stamps = 1446412345.0 + 0.1 * np.arange(200)
+        steps = relative_poses(truth[:-1], truth[1:])
+        steps += generator.normal(0, (0.002, 0.002, 0.004), steps.shape)
+        estimate = [np.array([4.0, 1.0, 2.5])]
+        for step in steps:
+            estimate.append(compose_poses(estimate[-1], step))
+        seen = np.sort(generator.choice(200, 150, replace=False))
+        jitter = generator.uniform(-0.008, 0.008, 150)
+        write_tum(tmp_path / "truth.tum", stamps, truth)
+        write_tum(tmp_path / "poses.tum", stamps[seen] + jitter, np.array(estimate)[seen])
+
+        reference = file_interface.read_tum_trajectory_file(str(tmp_path / "truth.tum"))
+        other = file_interface.read_tum_trajectory_file(str(tmp_path / "poses.tum"))
+        reference, other = sync.associate_trajectories(reference, other, max_diff=0.01)
+        other.align(reference)
+        expected = {}
+        for name, relation in (
+            ("absolute", metrics.PoseRelation.translation_part),
+            ("heading", metrics.PoseRelation.rotation_angle_deg),
+        ):
+            absolute = metrics.APE(relation)
+            absolute.process_data((reference, other))
+            expected[name] = absolute.get_all_statistics()
+            relative = metrics.RPE(relation, delta=delta, delta_unit=metrics.Unit.frames)
+            relative.process_data((reference, other))
+            key = "relative" if name == "absolute" else "relative_heading"
+            expected[key] = relative.get_all_statistics()
+    result = run(tmp_path / "poses.tum", tmp_path / "truth.tum", "--json", "--delta", delta)
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.output)
+    assert found["matched"] == reference.num_poses == 150
+    assert found["whole"]["path_metres"] == pytest.approx(reference.path_length, abs=1e-6)
+    for name, statistics in expected.items():
+        ours = found["whole"][name]
+        for key, evos in (("rmse", "rmse"), ("mean", "mean"), ("median", "median")):
+            assert ours[key] == pytest.approx(statistics[evos], abs=1e-6), (name, key)
+        assert ours["largest"] == pytest.approx(statistics["max"], abs=1e-6), name
+        assert statistics["rmse"] > 1e-3
+
+
+def test_every_format_says_the_same(tmp_path: Path) -> None:
+    poses = lap(12)
+    stamps = np.arange(12) / 10
+    write_tum(tmp_path / "a.txt", stamps, poses)
+    turned = [(math.cos(a), -math.sin(a), x, math.sin(a), math.cos(a), y) for x, y, a in poses]
+    (tmp_path / "b.txt").write_text(
+        "".join(f"{c} {s} 0 {x} {n} {d} 0 {y} 0 0 1 0\n" for c, s, x, n, d, y in turned)
+    )
+    rows = [
+        f"f{i},{s},{x},{y},{math.degrees(a)}"
+        for i, (s, (x, y, a)) in enumerate(zip(stamps, poses, strict=True))
+    ]
+    (tmp_path / "c.csv").write_text("\n".join(["Frame, Time, X, Y, Yaw_deg", *rows, "f12,1.2,,,"]))
+    tum, kitti, table = (read_trajectory(tmp_path / name) for name in ("a.txt", "b.txt", "c.csv"))
+    for read in (tum, kitti, table):
+        np.testing.assert_allclose(
+            read.poses, poses - [0, 0, math.tau] * (poses[:, 2:] > math.pi), atol=1e-12
+        )
+    np.testing.assert_allclose(tum.stamps, stamps)
+    np.testing.assert_allclose(table.stamps, stamps)
+    assert kitti.stamps is None
+    assert table.names == tuple(f"f{i}" for i in range(12))
+    assert table.unplaced == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", "is empty"),
+        ("x,heading\n1,2\n", "has no column y; its header is x, heading"),
+        ("x,y,heading\n0,0,0\n1,b,0\n", "line 3: y is 'b'"),
+        ("x,y,heading\n0,0,0\n1,,0\n", "line 3: x, y, heading must be numbers"),
+        ("x,y,heading\n0,0,0,7\n", "line 2: 4 fields under a header of 3"),
+        ("0 1 2\n", "line 1: 3 fields without a header"),
+        ("0 1 2 0 0 0 0 1\n0 1 2 0 0 0 0\n", "line 2: 8 numbers are needed"),
+        ("0 1 2 0 0 0 0 1\n0 1 2 0 0 0 0 nan\n", "line 2: a number is not finite"),
+        ("0 1 2 0 0 0 0 2\n", "line 1: the quaternion is not of length 1"),
+        ("0 1 2 0 0.7071 0 0 0.7071\n", "leans by more than 15 degrees"),
+        ("1 0 0 5 0 0 -1 6 0 1 0 7\n", "z must point up"),
+        ("frame,x,y,heading\na,,,\n", "has no frame with a pose"),
+    ],
+)
+def test_a_broken_file_is_one_line(tmp_path: Path, content: str, words: str) -> None:
+    (tmp_path / "poses").write_text(content)
+    (tmp_path / "truth.csv").write_text("frame,x,y,heading\na,0,0,0\n")
+    result = run(tmp_path / "poses", tmp_path / "truth.csv")
+    assert result.exit_code == 1
+    assert len(result.output.strip().splitlines()) == 1
+    assert words in result.output
+    assert "poses" in result.output
+
+
+def test_words_tell_each_fragment_and_the_whole(samples_folder: Path, tmp_path: Path) -> None:
+    lines = (samples_folder / "course" / "truth.csv").read_text().splitlines()
+    rows = [f"{line},{int(index >= 20)},1e-3,1e-3,1e-3" for index, line in enumerate(lines[1:])]
+    header = lines[0] + ",fragment,sigma_x,sigma_y,sigma_heading"
+    (tmp_path / "poses.csv").write_text("\n".join([header, *rows]))
+    result = run(tmp_path / "poses.csv", samples_folder / "course" / "truth.csv")
+    assert result.exit_code == 0
+    for words in ("40 poses of 40 true ones", "fragment 1", "all fragments", "NEES", "ATE"):
+        assert words in result.output
+    same = run(samples_folder / "course" / "truth.csv", samples_folder / "course" / "truth.csv")
+    assert "fragment" not in same.output
+    assert "NEES" not in same.output
