@@ -39,6 +39,8 @@ _SAME_RADIANS = 0.05
 # a line's end may be brought to fit by a tilt as well as by the motion.
 _STEADY_CORRELATION = 0.95
 _ROCKING_SHARE = 0.8
+# So many times the inliers that are needed stand in for pixels that look little alike.
+_BACKING = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,7 +159,9 @@ def _choose(
     rival = fits[1].evidence / best.evidence if len(fits) > 1 and best.evidence > 0 else 0.0
     doubt = _doubt(best, options)
     alike = min(best.correlation, best.agreed.correlation)
-    backed = best is by_features and alignment.inlier_count >= options.convincing_inliers
+    backed = (
+        best is by_features and alignment.inlier_count >= _BACKING * options.matching.min_inliers
+    )
     if not doubt and not backed and not alike >= options.min_dense_score:
         doubt = (
             f"the pixels are too unlike: correlation {alike:.2f}; "

@@ -209,5 +209,5 @@ class MapperOptions:
     max_rival_evidence: float = 0.75
     max_sigma_pixels: float = 12.0
     most_hypotheses: int = 3
-    convincing_inliers: int = 40
+    convincing_inliers: int = 120
     convincing_score: float = 0.5
