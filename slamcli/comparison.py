@@ -39,7 +39,8 @@ _SAME_RADIANS = 0.05
 # a line's end may be brought to fit by a tilt as well as by the motion.
 _STEADY_CORRELATION = 0.95
 _ROCKING_SHARE = 0.8
-# So many times the inliers that are needed stand in for pixels that look little alike.
+# So many times the inliers that are needed stand in for pixels that look little alike, or that
+# leave a direction open.
 _BACKING = 3
 
 
@@ -159,9 +160,8 @@ def _choose(
     rival = fits[1].evidence / best.evidence if len(fits) > 1 and best.evidence > 0 else 0.0
     doubt = _doubt(best, options)
     alike = min(best.correlation, best.agreed.correlation)
-    backed = (
-        best is by_features and alignment.inlier_count >= _BACKING * options.matching.min_inliers
-    )
+    enough = alignment.inlier_count >= _BACKING * options.matching.min_inliers
+    backed = enough and by_features is not None and _same(by_features.pose, best.pose, keyframe)
     if not doubt and not backed and not alike >= options.min_dense_score:
         doubt = (
             f"the pixels are too unlike: correlation {alike:.2f}; "
@@ -172,7 +172,7 @@ def _choose(
             f"ambiguous: another motion explains {rival:.0%} of what the best one does; "
             f"at most {options.max_rival_evidence:.0%} is believed"
         )
-    if not doubt:
+    if not doubt and not backed:
         doubt = _undetermined(best, keyframe, options)
     return _trial(keyframe, prepared, alignment, best, doubt, rival, found)
 
