@@ -139,7 +139,8 @@ def compare(
     fits = [fit for fit in polished if fit.covariance is not None]
     if by_features is not None:
         fits.append(by_features)
-    return _choose(keyframe, prepared, alignment, fits, by_features, found, options)
+    reach = calibration.max_range_metres
+    return _choose(keyframe, prepared, alignment, fits, by_features, found, reach, options)
 
 
 def _choose(
@@ -149,6 +150,7 @@ def _choose(
     fits: list[_Fit],
     by_features: _Fit | None,
     found: dense.Search | None,
+    range_metres: float,
     options: MapperOptions,
 ) -> Trial:
     """Believe the motion that explains the pixels best, if it does so well and alone."""
@@ -173,18 +175,17 @@ def _choose(
             f"at most {options.max_rival_evidence:.0%} is believed"
         )
     if not doubt and not backed:
-        doubt = _undetermined(best, keyframe, options)
+        doubt = _undetermined(best, range_metres, options)
     return _trial(keyframe, prepared, alignment, best, doubt, rival, found)
 
 
-def _undetermined(fit: _Fit, keyframe: Prepared, options: MapperOptions) -> str:
+def _undetermined(fit: _Fit, range_metres: float, options: MapperOptions) -> str:
     """Return why a motion is not known in every direction, or nothing."""
-    assert keyframe.view is not None
     if fit.covariance is None:
         return "the pixels do not determine the motion"
     variances, directions = np.linalg.eigh(fit.covariance[:2, :2])
     sigma = math.sqrt(float(variances[1]))
-    if sigma <= options.max_sigma_pixels * keyframe.view.grid.metres_per_pixel:
+    if sigma <= options.max_sigma_share * range_metres:
         return ""
     bearing = math.degrees(math.atan2(directions[1, 1], directions[0, 1])) % 180.0
     return (

@@ -182,9 +182,9 @@ class MapperOptions:
         Least correlation of the overlap's detail for what a search found to be believed.
     max_rival_evidence : float
         Most that another motion may explain, as a share of what the best one does.
-    max_sigma_pixels : float
-        A searched motion less well known than this, in pixels of the view, in any direction is not
-        believed.
+    max_sigma_share : float
+        A searched motion less well known than this, as a share of how far the camera sees, in any
+        direction is not believed.
     most_hypotheses : int
         So many motions of a search are followed to the finest level.
     convincing_inliers : int
@@ -207,7 +207,7 @@ class MapperOptions:
     search_share_of_range: float = 0.25
     min_dense_score: float = 0.45
     max_rival_evidence: float = 0.75
-    max_sigma_pixels: float = 12.0
+    max_sigma_share: float = 0.02
     most_hypotheses: int = 3
     convincing_inliers: int = 120
     convincing_score: float = 0.5
