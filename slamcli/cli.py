@@ -377,6 +377,7 @@ def simulation_of(told: dict[str, Any]) -> SimulationOptions:
         floor=told["floor"],
         floor_metres_per_pixel=told["floor_metres_per_pixel"],
         wear=told["wear"],
+        room_metres=told["room"],
         path=told["path"],
         length_metres=told["length"],
         frames=told["frames"],
@@ -401,6 +402,7 @@ def simulation_of(told: dict[str, Any]) -> SimulationOptions:
             rocking_degrees=told["rocking"],
             bounce_metres=told["bounce"],
             boxes=told["boxes"],
+            walkers=told["walkers"],
         ),
         seed=told["seed"],
     )

@@ -448,13 +448,20 @@ disturbance_options = stacked(
         show_default=True,
         help="Things that stand on the floor along the way; every third one moves.",
     ),
+    click.option(
+        "--walkers",
+        type=click.IntRange(min=0),
+        default=0,
+        show_default=True,
+        help="Pairs of legs that cross the view.",
+    ),
 )
 floor_options = stacked(
     click.option(
         "--floor",
         default="asphalt",
         show_default=True,
-        help="course, asphalt, concrete, or the file of a picture.",
+        help="asphalt, bare, carpet, concrete, course, planks, terrazzo, tiles, or a picture.",
     ),
     click.option(
         "--floor-metres-per-pixel",
@@ -468,7 +475,14 @@ floor_options = stacked(
         type=click.FloatRange(0, 1),
         default=0.5,
         show_default=True,
-        help="How scuffed and dusty the course is; 0 is pure black and white.",
+        help="How scuffed the floor is; 0: a course in pure black and white, all tiles alike.",
+    ),
+    click.option(
+        "--room",
+        type=NOT_NEGATIVE,
+        default=0.0,
+        show_default=True,
+        help="Metres; side of a square room whose walls the camera sees; 0 is none.",
     ),
 )
 path_options = stacked(
@@ -476,7 +490,7 @@ path_options = stacked(
         "--path",
         default="loop",
         show_default=True,
-        help="line, loop, lawnmower, or a CSV of poses with columns x, y, heading.",
+        help="line, loop, lawnmower, drift, or a CSV of poses with columns x, y, heading.",
     ),
     click.option(
         "--length", type=POSITIVE, default=8.0, show_default=True, help="Metres of the way."

@@ -97,8 +97,9 @@ def test_paths_have_their_length_and_sensors_their_errors() -> None:
         steps = [(a.inverse() @ b) for a, b in itertools.pairwise(poses)]
         total = sum(step.translation_length for step in steps)
         assert total == pytest.approx(6.0, rel=0.01)
-        # A robot drives ahead; it does not slide sideways.
-        assert max(abs(step.y) for step in steps) < 0.1 * total / len(steps) + 1e-6
+        # A robot drives ahead; it does not slide sideways, unless it drifts as a drone does.
+        sideways = max(abs(step.y) for step in steps) > 0.1 * total / len(steps) + 1e-6
+        assert sideways == (path == "drift")
     readings = drive.sense(poses, SimulationOptions().sensors, np.random.default_rng(0))
     felt = readings.odometry[-1]
     drift = math.hypot(felt.x - poses[-1].x, felt.y - poses[-1].y)
@@ -153,3 +154,43 @@ def test_bad_wishes_are_one_line(tmp_path: Path, arguments: list[str], words: st
     assert result.exit_code == 1
     assert words in result.output
     assert result.output.count("\n") == 1
+
+
+def test_tiles_without_wear_are_all_alike() -> None:
+    floor = floors.make_floor("tiles", 0.0, 0.0005, 1)
+    first = floor.region(Grid(0.0, 0.1, 0.0005, 200, 200))
+    other = floor.region(Grid(0.7, 0.4, 0.0005, 200, 200))
+    np.testing.assert_array_equal(first, other)
+    worn = floors.make_floor("tiles", 0.5, 0.0005, 1)
+    assert not np.array_equal(worn.region(Grid(0.0, 0.1, 0.0005, 200, 200)), first)
+
+
+def test_a_room_has_its_walls_where_its_size_says() -> None:
+    calibration = photograph.make_camera(CameraOptions(size=(320, 240), pitch_degrees=10.0))
+    room = photograph.Room((0.0, 0.0), 4.0, floors.make_wall(0.0, 0.002, 0))
+    floor = floors.make_floor("course", 0.0, 0.001, 0)
+    photographer = photograph.Photographer(photograph.World(floor, room=room), calibration)
+    image = photographer.expose(Pose2(0.5, 0.0, 0.0), calibration, 0.0)[..., 1]
+    # The wall ahead is 1.5 m away: below its foot the black floor, above it the gray skirting.
+    foot = camera.project_floor(calibration, [[1.5, 0.0]])[0][0]
+    column, row = round(foot[0]), foot[1]
+    assert image[math.floor(row) - 3, column] > 45
+    assert image[math.ceil(row) + 3, column] < 30
+
+
+def test_walkers_cross_the_view() -> None:
+    poses = drive.make_path(SimulationOptions(path="line", length_metres=4.0, frames=40))
+    legs = drive.send_walkers(poses, 5, 10.0, np.random.default_rng(0))
+    assert len(legs) == 10
+    for leg in legs[::2]:
+        near = [
+            (
+                pose.inverse()
+                @ Pose2(
+                    leg.world_from_box.x + index / 10.0 * leg.velocity[0],
+                    leg.world_from_box.y + index / 10.0 * leg.velocity[1],
+                )
+            )
+            for index, pose in enumerate(poses)
+        ]
+        assert min(math.hypot(place.x - 0.6, place.y) for place in near) < 0.25

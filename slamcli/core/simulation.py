@@ -52,6 +52,8 @@ class DisturbanceOptions:
         Standard deviation of the camera's height from frame to frame.
     boxes : int
         Things that stand on the floor along the way; every third one moves.
+    walkers : int
+        Pairs of legs that cross the view at some time.
     """
 
     noise_gray: float = 2.0
@@ -61,6 +63,7 @@ class DisturbanceOptions:
     rocking_degrees: float = 0.0
     bounce_metres: float = 0.0
     boxes: int = 0
+    walkers: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,9 +104,13 @@ class SimulationOptions:
     floor_metres_per_pixel : float
         Of a picture.
     wear : float
-        0 to 1: how scuffed and dusty a course is.
+        0 to 1: how scuffed and dusty a floor is; at 0 all tiles are alike, and planks have only
+        five prints.
+    room_metres : float
+        Side of a square room about the first frame, whose walls the camera sees; 0 is no room.
     path : str
-        ``line``, ``loop``, ``lawnmower``, or the file of a CSV with columns x, y, heading.
+        ``line``, ``loop``, ``lawnmower``, ``drift`` (a loop on which the robot turns as it likes),
+        or the file of a CSV with columns x, y, heading.
     length_metres : float
         Of the way.
     frames : int
@@ -120,6 +127,7 @@ class SimulationOptions:
     floor: str = "asphalt"
     floor_metres_per_pixel: float = 0.001
     wear: float = 0.5
+    room_metres: float = 0.0
     path: str = "loop"
     length_metres: float = 8.0
     frames: int = 100

@@ -47,7 +47,8 @@ _SQUARE_YAW_RADIANS = math.radians(7.0)
 _SQUARE_MARGIN_PIXELS = 12
 _SQUARE_NOISE_GRAY = 2.0
 # Numbers of the random streams that a seed splits into.
-_SENSORS, _BOXES, _SQUARE, _FRAMES = range(4)
+_SENSORS, _BOXES, _SQUARE, _FRAMES, _WALKERS = range(5)
+_WALL_METRES_PER_PIXEL = 0.002
 
 
 def simulate(
@@ -73,9 +74,17 @@ def simulate(
         options.frame_rate_hertz,
         np.random.default_rng([options.seed, _BOXES]),
     )
+    boxes += drive.send_walkers(
+        poses,
+        options.disturbances.walkers,
+        options.frame_rate_hertz,
+        np.random.default_rng([options.seed, _WALKERS]),
+    )
     start = _COURSE_START if options.floor == "course" else Pose2()
     world = photograph.World(
-        floor, tuple(replace(b, world_from_box=start @ b.world_from_box) for b in boxes)
+        floor,
+        tuple(replace(b, world_from_box=start @ b.world_from_box) for b in boxes),
+        room=_room(options, start),
     )
     square = _photograph_square(calibration, options)
     count = len(poses) - 1
@@ -112,6 +121,13 @@ def _floor(options: SimulationOptions, calibration: Calibration) -> floors.Floor
     nearest = camera.floor_sampling(calibration, camera.seen_floor(calibration))[:, 1].min()
     resolution = float(np.clip(0.00025 * 2 ** round(math.log2(nearest / 0.00025)), 0.00025, 0.001))
     return floors.make_floor(options.floor, options.wear, resolution, options.seed)
+
+
+def _room(options: SimulationOptions, start: Pose2) -> photograph.Room | None:
+    if options.room_metres == 0:
+        return None
+    wall = floors.make_wall(options.wear, _WALL_METRES_PER_PIXEL, options.seed)
+    return photograph.Room((start.x, start.y), options.room_metres, wall)
 
 
 def _poses(options: SimulationOptions) -> list[Pose2]:

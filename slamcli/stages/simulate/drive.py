@@ -23,6 +23,11 @@ if TYPE_CHECKING:
 _WGS84_AXIS_METRES = 6378137.0
 _WGS84_ECCENTRICITY_SQUARED = 6.69437999014e-3
 _TURN_SHARE_OF_LANE = 0.5
+# A drifting robot turns to and fro so far, so often on its way, beside one slow turn about itself.
+_SWING_RADIANS, _SWINGS = 0.5, 5
+_LEG_METRES = (0.11, 0.10, 0.7)
+_STRIDE_METRES = 0.35
+_WALK_METRES_PER_SECOND = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +67,16 @@ def _loop(distances: NDArray[np.float64], options: SimulationOptions) -> list[Po
     radius = options.length_metres / math.tau
     angles = distances / radius
     return [Pose2(radius * math.sin(a), radius * (1.0 - math.cos(a)), float(a)) for a in angles]
+
+
+def _drift(distances: NDArray[np.float64], options: SimulationOptions) -> list[Pose2]:
+    """Return poses once around a circle, the heading free of the way, as a drone's may be."""
+    poses = _loop(distances, options)
+    shares = distances / options.length_metres
+    headings = -math.tau * shares + _SWING_RADIANS * np.sin(math.tau * _SWINGS * shares)
+    return [
+        Pose2(pose.x, pose.y, float(heading)) for pose, heading in zip(poses, headings, strict=True)
+    ]
 
 
 def _lawnmower(distances: NDArray[np.float64], options: SimulationOptions) -> list[Pose2]:
@@ -158,8 +173,28 @@ def scatter_boxes(
     return tuple(boxes)
 
 
+def send_walkers(
+    poses: Sequence[Pose2], count: int, frame_rate_hertz: float, generator: np.random.Generator
+) -> tuple[Box, ...]:
+    """Return legs, as tall cuboids in pairs, that each cross the view when the robot is near."""
+    legs = []
+    for _ in range(count):
+        index = int(generator.integers(len(poses)))
+        place = poses[index] @ Pose2(float(generator.uniform(0.45, 0.8)))
+        bearing = place.theta + float(generator.choice([-1.0, 1.0]) * generator.uniform(1.1, 2.0))
+        velocity = _WALK_METRES_PER_SECOND * np.array([math.cos(bearing), math.sin(bearing)])
+        passed = index / frame_rate_hertz
+        start = Pose2(place.x - passed * velocity[0], place.y - passed * velocity[1], bearing)
+        colour = tuple(float(value) for value in generator.uniform(20, 120, 3))
+        for offset in (Pose2(), Pose2(-_STRIDE_METRES, 0.16)):
+            walking = (float(velocity[0]), float(velocity[1]))
+            legs.append(Box(start @ offset, _LEG_METRES, colour, walking))  # type: ignore[arg-type]
+    return tuple(legs)
+
+
 PATHS: dict[str, Callable[[NDArray[np.float64], SimulationOptions], list[Pose2]]] = {
     "line": _line,
     "loop": _loop,
     "lawnmower": _lawnmower,
+    "drift": _drift,
 }

@@ -28,6 +28,7 @@ _RAYS_ACROSS, _RAYS_DOWN = 2, 4
 _WALL_HEIGHTS = 14.0
 _WALL_BGR = (150.0, 162.0, 170.0)
 _DEEPEST_LEVEL = 5
+_CEILING_METRES = 2.6
 _BLUR_POSES = 5
 
 
@@ -69,6 +70,24 @@ class Decal:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Room:
+    """Four walls that stand on the floor.
+
+    Attributes
+    ----------
+    centre : (float, float)
+        World metres.
+    side_metres : float
+    wall : Floor
+        Its texture: x along the walls, all around, y up from the floor.
+    """
+
+    centre: tuple[float, float]
+    side_metres: float
+    wall: Floor
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class World:
     """All that there is to see.
 
@@ -76,11 +95,13 @@ class World:
     ----------
     floor : Floor
     boxes, decals : tuple
+    room : Room or None
     """
 
     floor: Floor
     boxes: tuple[Box, ...] = ()
     decals: tuple[Decal, ...] = ()
+    room: Room | None = None
 
 
 def make_camera(options: CameraOptions) -> Calibration:
@@ -158,8 +179,13 @@ class Photographer:
         """Return (H, W, 3) float32 BGR of one instant, without noise."""
         inverse = calibration.robot_from_image.astype(np.float32)
         x, y, w = (row[0] * self._columns + row[1] * self._rows + row[2] for row in inverse)
-        wall = calibration.height_metres * _WALL_HEIGHTS
-        on_floor = (w > 0) & (x * x + y * y <= (np.float32(wall) * w) ** 2)
+        room = self.world.room
+        if room is None:
+            far = calibration.height_metres * _WALL_HEIGHTS
+            on_floor = (w > 0) & (x * x + y * y <= (np.float32(far) * w) ** 2)
+        else:
+            reach, wall_x = _to_walls(room, world_from_robot, x, y)
+            on_floor = w * reach > 1.0
         safe = np.where(on_floor, w, np.float32(1.0))
         floor = np.dstack([x / safe, y / safe])
         determinant = abs(float(np.linalg.det(calibration.robot_from_image)))
@@ -167,7 +193,13 @@ class Photographer:
         place = world_from_robot.matrix.astype(np.float32)
         world_x = place[0, 0] * floor[..., 0] + place[0, 1] * floor[..., 1] + place[0, 2]
         world_y = place[1, 0] * floor[..., 0] + place[1, 1] * floor[..., 1] + place[1, 2]
-        picture = self._read_floor(world_x, world_y, sampling, on_floor)
+        picture = np.empty((*world_x.shape, 3), np.float32)
+        picture[:] = np.array(_WALL_BGR, np.float32)
+        _read(self.world.floor, world_x, world_y, sampling, on_floor, picture)
+        if room is not None:
+            up = np.float32(calibration.height_metres) * (1.0 - reach * w)
+            finer = reach * np.hypot(x, y) / calibration.camera_matrix[0, 0] / 2.0
+            _read(room.wall, wall_x, up, finer, ~on_floor & (up < _CEILING_METRES), picture)
         for decal in self.world.decals:
             picture[on_floor & _inside(decal.corners, world_x, world_y)] = decal.gray
         width, height = calibration.image_size
@@ -176,38 +208,58 @@ class Photographer:
         _draw_boxes(image, self.world.boxes, world_from_robot, calibration, stamp)
         return image
 
-    def _read_floor(
-        self,
-        world_x: NDArray[np.float32],
-        world_y: NDArray[np.float32],
-        sampling: NDArray[np.float32],
-        on_floor: NDArray[np.bool_],
-    ) -> NDArray[np.float32]:
-        picture = np.empty((*world_x.shape, 3), np.float32)
-        picture[:] = np.array(_WALL_BGR, np.float32)
-        finest = self.world.floor.metres_per_pixel
-        level = np.clip(np.round(np.log2(np.maximum(sampling / finest, 1.0))), 0, _DEEPEST_LEVEL)
-        for number in np.unique(level[on_floor]):
-            inside = on_floor & (level == number)
-            rows = np.flatnonzero(inside.any(axis=1))
-            band = slice(int(rows[0]), int(rows[-1]) + 1)
-            chosen = inside[band]
-            x, y = world_x[band], world_y[band]
-            scale = finest * 2 ** int(number)
-            corners = np.array(
-                [
-                    [x[chosen].min() - 2 * scale, y[chosen].min() - 2 * scale],
-                    [x[chosen].max() + 2 * scale, y[chosen].max() + 2 * scale],
-                ]
-            )
-            grid = Grid.covering(corners, scale)
-            texture = self.world.floor.region(grid)
-            to_pixel = grid.pixel_from_metres
-            columns = (to_pixel[0, 0] * x + to_pixel[0, 2]).astype(np.float32)
-            lines = (to_pixel[1, 1] * y + to_pixel[1, 2]).astype(np.float32)
-            read = cv2.remap(texture, columns, lines, cv2.INTER_LINEAR)
-            picture[band][chosen] = np.asarray(read)[chosen]
-        return picture
+
+def _read(
+    floor: Floor,
+    world_x: NDArray[np.float32],
+    world_y: NDArray[np.float32],
+    sampling: NDArray[np.float32],
+    wanted: NDArray[np.bool_],
+    picture: NDArray[np.float32],
+) -> None:
+    """Fill in the wanted rays of a picture from the texture, each from its own level."""
+    if not wanted.any():
+        return
+    finest = floor.metres_per_pixel
+    level = np.clip(np.round(np.log2(np.maximum(sampling / finest, 1.0))), 0, _DEEPEST_LEVEL)
+    for number in np.unique(level[wanted]):
+        inside = wanted & (level == number)
+        rows = np.flatnonzero(inside.any(axis=1))
+        band = slice(int(rows[0]), int(rows[-1]) + 1)
+        chosen = inside[band]
+        x, y = world_x[band], world_y[band]
+        scale = finest * 2 ** int(number)
+        corners = np.array(
+            [
+                [x[chosen].min() - 2 * scale, y[chosen].min() - 2 * scale],
+                [x[chosen].max() + 2 * scale, y[chosen].max() + 2 * scale],
+            ]
+        )
+        grid = Grid.covering(corners, scale)
+        texture = floor.region(grid)
+        to_pixel = grid.pixel_from_metres
+        columns = (to_pixel[0, 0] * x + to_pixel[0, 2]).astype(np.float32)
+        lines = (to_pixel[1, 1] * y + to_pixel[1, 2]).astype(np.float32)
+        read = cv2.remap(texture, columns, lines, cv2.INTER_LINEAR)
+        picture[band][chosen] = np.asarray(read)[chosen]
+
+
+def _to_walls(
+    room: Room, world_from_robot: Pose2, x: NDArray[np.float32], y: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return how many times (x, y) in the robot's axes reach a wall, and where along the walls."""
+    cosine, sine = math.cos(world_from_robot.theta), math.sin(world_from_robot.theta)
+    ahead, left = cosine * x - sine * y, sine * x + cosine * y
+    start_x, start_y = world_from_robot.x - room.centre[0], world_from_robot.y - room.centre[1]
+    half = room.side_metres / 2
+    with np.errstate(divide="ignore"):
+        to_x = np.maximum((half - start_x) / ahead, (-half - start_x) / ahead)
+        to_y = np.maximum((half - start_y) / left, (-half - start_y) / left)
+    reach = np.minimum(to_x, to_y)
+    met_x, met_y = start_x + reach * ahead, start_y + reach * left
+    side = np.where(to_x < to_y, np.where(ahead > 0, 0, 2), np.where(left > 0, 1, 3))
+    along = np.choose(side, [met_y, -met_x, -met_y, met_x])
+    return reach.astype(np.float32), (side * room.side_metres + along).astype(np.float32)
 
 
 def take(
