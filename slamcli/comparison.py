@@ -34,14 +34,26 @@ _LEAST_SHARE_OF_BEST = 0.4
 # Two motions nearer than this, in pixels of the coarsest level and in radians, are one.
 _SAME_PIXELS = 3.0
 _SAME_RADIANS = 0.05
+# Fits of one motion with about the same evidence differ in what they let the camera do besides.
+_EQUAL_SHARE = 0.95
 # A rigid motion that correlates so well needs no rocking camera to explain it; where it does not,
 # the rocking is believed when it leaves less than this share unexplained. On a floor of a few lines
 # a line's end may be brought to fit by a tilt as well as by the motion.
 _STEADY_CORRELATION = 0.95
 _ROCKING_SHARE = 0.8
+# A robot may rock so much more than its tilt sigma says, where the pixels ask for it.
+_ROCKING_TIMES = 5.0
 # So many times the inliers that are needed stand in for pixels that look little alike, or that
 # leave a direction open.
 _BACKING = 3
+# A narrow strip of the floor fits elsewhere too, or with another turn.
+_LEAST_DENSE_OVERLAP = 0.2
+# Where so many of the telling patches agree, what disagrees stands on the floor; where features
+# without number agree too, few patches are enough.
+_CONFIRMED = 0.5
+_CONFIRMED_BESIDE_FEATURES = 0.2
+# By so much more must views be alike on the coarsest level, whose few pixels agree by chance.
+_COARSE_HANDICAP = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +96,7 @@ class _Fit:
     agreed: dense.Agreement
     evidence: float
     correlation: float
+    view_a_from_view_b: NDArray[np.float64]
 
 
 def compare(
@@ -121,7 +134,8 @@ def compare(
             keyframe, prepared, alignment.pose, alignment.covariance, calibration, options
         )
         if not options.dense or _convincing(alignment, by_features, options):
-            doubt = _doubt(by_features, options)
+            needed = _CONFIRMED_BESIDE_FEATURES if options.dense else _CONFIRMED
+            doubt = _doubt(by_features, options, needed)
             return _trial(keyframe, prepared, alignment, by_features, doubt)
     if not options.dense or (window is None and guess is None):
         doubt = alignment.reason or (
@@ -161,7 +175,7 @@ def _choose(
     best = fits[0]
     rival = fits[1].evidence / best.evidence if len(fits) > 1 and best.evidence > 0 else 0.0
     doubt = _doubt(best, options)
-    alike = min(best.correlation, best.agreed.correlation)
+    alike = min(_likeness(keyframe, prepared, best), best.agreed.correlation)
     enough = alignment.inlier_count >= _BACKING * options.matching.min_inliers
     backed = enough and by_features is not None and _same(by_features.pose, best.pose, keyframe)
     if not doubt and not backed and not alike >= options.min_dense_score:
@@ -169,14 +183,34 @@ def _choose(
             f"the pixels are too unlike: correlation {alike:.2f}; "
             f"at least {options.min_dense_score:.2f} is needed"
         )
+    many = alignment.inlier_count >= options.convincing_inliers
+    if (
+        not doubt
+        and many
+        and by_features is not None
+        and not _same(by_features.pose, best.pose, keyframe)
+    ):
+        doubt = "the pixels speak for another motion than the features do"
     if not doubt and rival > options.max_rival_evidence:
         doubt = (
             f"ambiguous: another motion explains {rival:.0%} of what the best one does; "
             f"at most {options.max_rival_evidence:.0%} is believed"
         )
+    if not doubt and not backed and best.agreed.overlap < _LEAST_DENSE_OVERLAP:
+        doubt = (
+            f"the pixels share {best.agreed.overlap:.0%} of the floor; "
+            f"at least {_LEAST_DENSE_OVERLAP:.0%} is needed where few features agree"
+        )
     if not doubt and not backed:
         doubt = _undetermined(best, range_metres, options)
     return _trial(keyframe, prepared, alignment, best, doubt, rival, found)
+
+
+def _likeness(keyframe: Prepared, prepared: Prepared, fit: _Fit) -> float:
+    """Return how like the views are: on a bare floor the camera's noise hides it but coarsely."""
+    coarsest = keyframe.levels[-1], prepared.levels[-1]
+    coarse = dense.evidence(*coarsest, fit.pose, fit.view_a_from_view_b).correlation
+    return max(fit.correlation, coarse - _COARSE_HANDICAP)
 
 
 def _undetermined(fit: _Fit, range_metres: float, options: MapperOptions) -> str:
@@ -184,9 +218,12 @@ def _undetermined(fit: _Fit, range_metres: float, options: MapperOptions) -> str
     if fit.covariance is None:
         return "the pixels do not determine the motion"
     variances, directions = np.linalg.eigh(fit.covariance[:2, :2])
-    sigma = math.sqrt(float(variances[1]))
+    sigma, turn_sigma = math.sqrt(float(variances[1])), math.sqrt(float(fit.covariance[2, 2]))
     if sigma <= options.max_sigma_share * range_metres:
-        return ""
+        # A turn moves most of the floor by less than half of what it moves the farthest by.
+        if turn_sigma <= 2.0 * options.max_sigma_share:
+            return ""
+        return f"the pixels leave the turn open (one sigma {math.degrees(turn_sigma):.2g} degrees)"
     bearing = math.degrees(math.atan2(directions[1, 1], directions[0, 1])) % 180.0
     return (
         f"the pixels leave the motion open along {bearing:.0f} degrees "
@@ -235,12 +272,15 @@ def _polish(
     levels = slice(0, 2) if covariance is not None else slice(None)
     pair = keyframe.levels[levels], prepared.levels[levels]
     best = start
-    for tilt in (0.0, math.radians(options.tilt_sigma_degrees)):
+    steady = math.radians(options.tilt_sigma_degrees)
+    # Among bare lines, where no features are, a large tilt passes for a turn.
+    tilts = (0.0, steady) if covariance is None else (0.0, steady, _ROCKING_TIMES * steady)
+    for tilt in tilts:
         if best.covariance is not None and best.correlation >= _STEADY_CORRELATION:
             break
         refined = dense.refine(*pair, best.pose, calibration, tilt)
         if refined is None:
-            continue
+            break
         fit = _judge(
             keyframe,
             prepared,
@@ -262,7 +302,7 @@ def _judge(
 ) -> _Fit:
     agreed = dense.agreement(keyframe.levels[0], prepared.levels[0], shown)
     judged = dense.evidence(keyframe.levels[1], prepared.levels[1], pose, shown)
-    return _Fit(pose, covariance, agreed, judged.evidence, judged.correlation)
+    return _Fit(pose, covariance, agreed, judged.evidence, judged.correlation, shown)
 
 
 def _better(fit: _Fit, other: _Fit, *, rocking: bool) -> bool:
@@ -274,19 +314,28 @@ def _better(fit: _Fit, other: _Fit, *, rocking: bool) -> bool:
 
 def _convincing(alignment: Alignment, fit: _Fit, options: MapperOptions) -> bool:
     """Return whether features and pixels together leave no reason to look for another motion."""
-    return (
-        alignment.inlier_count >= options.convincing_inliers
-        and fit.agreed.correlation >= options.convincing_score
+    return alignment.inlier_count >= options.convincing_inliers and (
+        fit.agreed.correlation >= options.convincing_score
+        or fit.agreed.confirmed >= _CONFIRMED_BESIDE_FEATURES
     )
 
 
 def _distinct(fits: list[_Fit], keyframe: Prepared) -> list[_Fit]:
-    """Return the fits without those that are the same motion as an earlier one."""
+    """Return the fits, best first, each motion once: as it is known best among equals."""
     kept: list[_Fit] = []
     for fit in fits:
-        if not any(_same(other.pose, fit.pose, keyframe) for other in kept):
+        place = next((n for n, k in enumerate(kept) if _same(k.pose, fit.pose, keyframe)), None)
+        if place is None:
             kept.append(fit)
+        elif fit.evidence > _EQUAL_SHARE * kept[place].evidence and _surer(fit, kept[place]):
+            kept[place] = fit
     return kept
+
+
+def _surer(fit: _Fit, other: _Fit) -> bool:
+    assert fit.covariance is not None
+    assert other.covariance is not None
+    return bool(np.linalg.det(fit.covariance) < np.linalg.det(other.covariance))
 
 
 def _same(first: Pose2, second: Pose2, keyframe: Prepared) -> bool:
@@ -321,7 +370,7 @@ def _trial(
     return Trial(keyframe, prepared, alignment, link, overlap, reason, rival, found)
 
 
-def _doubt(fit: _Fit, options: MapperOptions) -> str:
+def _doubt(fit: _Fit, options: MapperOptions, confirmed: float = _CONFIRMED) -> str:
     """Return why a fit is not plausible, or contradicted by the pixels; empty when neither."""
     turn = abs(math.degrees(fit.pose.theta))
     if turn > options.max_turn_degrees:
@@ -334,7 +383,7 @@ def _doubt(fit: _Fit, options: MapperOptions) -> str:
             f"the fit leaves an overlap of {fit.agreed.overlap:.0%}; "
             f"at least {options.min_overlap:.0%} is needed"
         )
-    if not fit.agreed.correlation >= options.min_score:
+    if not fit.agreed.correlation >= options.min_score and not fit.agreed.confirmed >= confirmed:
         return (
             f"the pixels disagree with the fit: correlation {fit.agreed.correlation:.2f}; "
             f"at least {options.min_score:.2f} is needed"

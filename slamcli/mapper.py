@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from slamcli.comparison import Trial
     from slamcli.core.records import Calibration
 
+# Frames so near in time may be searched for anywhere in each other.
+_MOST_UNGUIDED_STEPS = 2
 _SAME_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
 
 
@@ -125,7 +127,7 @@ class Mapper:
         if not self._keyframes:
             return self._begin_fragment(prepared)
         if self._stray is not None:
-            trial = self._try(self._stray, prepared, window=self._window(None, prepared))
+            trial = self._try(self._stray, prepared, window=self._stray_window(prepared))
             self._trials = [*trials, trial]
             if trial.link is not None:
                 stray, self._stray = self._stray, None
@@ -190,8 +192,9 @@ class Mapper:
         if before is not None and self._estimates[before.index].map_from_robot is not None:
             recent = before
         attempts: list[tuple[Pose2 | None, dense.Window | None]] = []
-        if self.options.dense or recent is not self._keyframes[-1]:
-            attempts.append((None, self._window(recent, prepared)))
+        window = self._window(recent, prepared)
+        if (self.options.dense and window is not None) or recent is not self._keyframes[-1]:
+            attempts.append((None, window))
         if self._motion is not None and recent is before:
             attempts.append((self._motion, None))
         trials = []
@@ -203,21 +206,41 @@ class Mapper:
                 break
         return trials
 
-    def _window(self, keyframe: Prepared | None, prepared: Prepared) -> dense.Window:
-        """Return where a frame may lie for a keyframe: near where it was heading, if that is known.
+    def _window(self, keyframe: Prepared, prepared: Prepared) -> dense.Window | None:
+        """Return where a frame may lie for a placed one: near where it was heading, if it is known.
 
         A floor that repeats shows the same again a little further on, where no robot can have come
-        to in so short a time.
+        to in so short a time. After a time long enough the pixels alone are no proof: None.
         """
-        angle = math.radians(self.options.search_angle_degrees)
-        if keyframe is None or self._motion is None:
-            return dense.Window(angle_radians=angle)
+        if self._motion is None:
+            return self._unguided(keyframe, prepared)
         steps = prepared.index - self._moved_at
-        heading_for = self._motion_from(keyframe)
+        return self._ahead(self._motion_from(keyframe), steps)
+
+    def _stray_window(self, prepared: Prepared) -> dense.Window | None:
+        """Return where a frame may lie for the latest lost one: as far on as frames did before."""
+        assert self._stray is not None
+        if self._motion is None:
+            return self._unguided(self._stray, prepared)
+        return self._ahead(Pose2(), prepared.index - self._stray.index)
+
+    def _unguided(self, other: Prepared, prepared: Prepared) -> dense.Window | None:
+        """Return everywhere for frames that follow each other; nowhere for others."""
+        if prepared.index - other.index > _MOST_UNGUIDED_STEPS:
+            return None
+        return dense.Window(angle_radians=math.radians(self.options.search_angle_degrees))
+
+    def _ahead(self, start: Pose2, steps: int) -> dense.Window | None:
+        """Return where so many steps like the latest motion lead to, each as free as one is."""
+        assert self._motion is not None
+        share = self.options.search_share_of_range * self.calibration.max_range_metres
+        radius = steps * (share + self._motion.translation_length)
+        if steps > _MOST_UNGUIDED_STEPS and radius > 2.0 * self.calibration.max_range_metres:
+            return None
+        heading_for = start
         for _ in range(steps):
             heading_for = heading_for @ self._motion
-        reach = self.options.search_share_of_range * self.calibration.max_range_metres
-        return dense.Window(heading_for, angle, steps * (reach + self._motion.translation_length))
+        return dense.Window(heading_for, math.radians(self.options.search_angle_degrees), radius)
 
     def _motion_from(self, keyframe: Prepared) -> Pose2:
         """Return ``keyframe_from_latest`` of the frame whose motion is the latest known."""

@@ -75,7 +75,7 @@ def test_a_search_finds_the_motion_between_views_of_bare_lines(degrees: float) -
     a, b = prepared_of(camera, start, 0), prepared_of(camera, start @ motion, 1)
     found = dense.search(a.levels[-1], b.levels[-1], dense.Window(), min_overlap=0.1)
     metres, turned = error_of(found.candidates[0].a_from_b, motion)
-    assert metres < 2.5 * a.levels[-1].metres_per_pixel
+    assert metres < 4.0 * a.levels[-1].metres_per_pixel
     assert turned <= 2.5
     assert found.candidates[0].correlation > 0.7
 

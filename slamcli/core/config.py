@@ -207,7 +207,7 @@ class MapperOptions:
     search_share_of_range: float = 0.25
     min_dense_score: float = 0.45
     max_rival_evidence: float = 0.75
-    max_sigma_share: float = 0.03
+    max_sigma_share: float = 0.015
     most_hypotheses: int = 3
     convincing_inliers: int = 120
     convincing_score: float = 0.5

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 
 _LEAST_SHARED_PIXELS = 200
 _OVERLAP_STEP = 16
+# Patches tell something when they vary by more than a camera's noise does at half resolution.
+_PATCH_PIXELS = 16
+_TELLING_GRAY = 3.0
+_LEAST_PATCHES = 12
+_PATCH_CORRELATION = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,10 +36,14 @@ class Agreement:
         Zero-mean normalised cross-correlation of the overlap, in [-1, 1].
     overlap : float
         Share of the smaller view's floor that both see.
+    confirmed : float
+        Share of the overlap's telling patches that agree each by itself, in [0, 1]: where something
+        stands or walks on a floor that is seen well, the others are the floor.
     """
 
     correlation: float
     overlap: float
+    confirmed: float
 
 
 def overlap(view_a: View, view_b: View, a_from_b: Pose2) -> float:
@@ -69,11 +78,36 @@ def agreement(a: DenseLevel, b: DenseLevel, view_a_from_view_b: NDArray[np.float
     smaller = int(min(np.count_nonzero(a.mask == 255), np.count_nonzero(b.mask == 255)))
     shared = int(np.count_nonzero(both))
     if shared < _LEAST_SHARED_PIXELS:
-        return Agreement(math.nan, shared / max(1, smaller))
+        return Agreement(math.nan, shared / max(1, smaller), 0.0)
     values_a = a.image[both].astype(np.float32)
     values_b = np.asarray(moved)[both].astype(np.float32)
     values_a -= values_a.mean()
     values_b -= values_b.mean()
     norm = math.sqrt(float(values_a @ values_a) * float(values_b @ values_b))
     correlation = float(values_a @ values_b) / norm if norm > 0 else 0.0
-    return Agreement(correlation, shared / smaller)
+    return Agreement(correlation, shared / smaller, _confirmed(a.image, np.asarray(moved), both))
+
+
+def _confirmed(
+    image_a: NDArray[np.uint8], image_b: NDArray[np.uint8], both: NDArray[np.bool_]
+) -> float:
+    """Return the share of patches that agree, among those that show more than noise."""
+    rows, columns = (side - side % _PATCH_PIXELS for side in both.shape)
+    first, second, weight = (
+        picture[:rows, :columns]
+        .reshape(rows // _PATCH_PIXELS, _PATCH_PIXELS, columns // _PATCH_PIXELS, _PATCH_PIXELS)
+        .transpose(0, 2, 1, 3)
+        .reshape(-1, _PATCH_PIXELS**2)
+        for picture in (image_a, image_b, both)
+    )
+    whole = weight.all(axis=1)
+    patch_a, patch_b = first[whole].astype(np.float32), second[whole].astype(np.float32)
+    patch_a -= patch_a.mean(axis=1, keepdims=True)
+    patch_b -= patch_b.mean(axis=1, keepdims=True)
+    energy_a, energy_b = (patch_a**2).mean(axis=1), (patch_b**2).mean(axis=1)
+    telling = np.maximum(energy_a, energy_b) > _TELLING_GRAY**2
+    if np.count_nonzero(telling) < _LEAST_PATCHES:
+        return 0.0
+    product = (patch_a * patch_b).mean(axis=1)
+    agree = product > _PATCH_CORRELATION * np.sqrt(energy_a * energy_b)
+    return float(np.count_nonzero(agree & telling) / np.count_nonzero(telling))

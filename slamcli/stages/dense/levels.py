@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 # From half the view's resolution on, which already resolves hundredths of a pixel, down to where a
 # search over every rotation and translation costs some tens of milliseconds.
-_LEAST_LEVELS = 3
+_LEAST_LEVELS = 2
 _MOST_LEVELS = 6
 _MOST_COARSEST_PIXELS = 20_000
 _MOST_TEMPLATE_PIXELS = 15_000
