@@ -31,7 +31,7 @@ FLOORS = {
 }
 TOP = max(FLOORS.values())
 ONE_ROOM = {
-    "gtsam": "stages/posegraph",
+    "gtsam": "stages/posegraph/gtsam_solver",
     "tqdm": "progress",
     "click": ("cli", "options", "progress"),
 }

@@ -1,0 +1,178 @@
+"""All that was measured, weighed against one another: the poses that fit it best, and how surely.
+
+A pose graph over SE(2): motions between frames, with headings of a compass and places of GPS, the
+former's offset and the latter's frame and lever arm among the unknowns. Loops and the other senses
+are suspects, and so are steps that contradict their neighbours: graduated non-convexity switches
+off those that the rest contradicts. Solved by GTSAM (Dellaert and Kaess, Factor Graphs for Robot
+Perception, 2017) where it is installed, else by scipy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.core.geometry import Pose2, pose_array
+from slamcli.stages.posegraph import gtsam_solver, sparse_solver
+from slamcli.stages.posegraph.build import build, first_state
+from slamcli.stages.posegraph.components import Sets, components
+from slamcli.stages.posegraph.factors import Heading, Place, Senses, Solution
+from slamcli.stages.posegraph.marginals import diagonal_blocks
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from types import ModuleType
+    from typing import Literal
+
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import Link
+    from slamcli.stages.posegraph.problem import Problem, State
+
+    Solver = Literal["gtsam", "scipy"]
+
+__all__ = [
+    "Heading",
+    "Place",
+    "Senses",
+    "Solution",
+    "components",
+    "compose_covariance",
+    "solve",
+]
+
+_TRUSTED = ("step", "odometry")
+
+
+def solve(
+    initial: Mapping[int, Pose2],
+    links: Sequence[Link],
+    headings: Sequence[Heading] = (),
+    places: Sequence[Place] = (),
+    *,
+    lever_arm_metres: tuple[float, float] | None = (0.0, 0.0),
+    solver: Solver | None = None,
+) -> Solution:
+    """Solve one connected component, its first frame held where it is.
+
+    Parameters
+    ----------
+    initial : mapping of frame index to ``map_from_robot``
+    links : sequence of Link
+        Only between frames of `initial`. Steps and odometry are believed while they agree with
+        one another; loops must convince.
+    headings, places : sequences
+        Only of frames of `initial`.
+    lever_arm_metres : (float, float) or None
+        Of the GPS antenna; None estimates it.
+    solver : str or None
+        None takes GTSAM where it is installed and can: it has no factor for an unknown lever arm.
+    """
+    frames = sorted(initial)
+    problem = build(frames, links, headings, places, lever_known=lever_arm_metres is not None)
+    first = first_state(
+        problem, pose_array([initial[frame] for frame in frames]), lever_arm_metres or (0.0, 0.0)
+    )
+    able = find_spec("gtsam") is not None and problem.lever_known
+    chosen = solver or ("gtsam" if able else "scipy")
+    module = gtsam_solver if chosen == "gtsam" else sparse_solver
+    trusted = np.zeros(len(problem), np.bool_)
+    trusted[: len(links)] = [link.kind in _TRUSTED for link in links]
+    state, kept = _agreed(problem, first, trusted, module)
+    return _solution(problem, state, kept, frames)
+
+
+def _agreed(
+    problem: Problem, state: State, trusted: NDArray[np.bool_], solver: ModuleType
+) -> tuple[State, NDArray[np.bool_]]:
+    """Return the solution of all factors that the others do not contradict, and which these are."""
+    everything = np.ones(len(problem))
+    whole = solver.optimise(problem, state, everything)
+    if (problem.squared_errors(whole) <= sparse_solver.THRESHOLD).all():
+        return whole, np.ones(len(problem), np.bool_)
+    motions = len(problem.motions.a)
+    # A step is above suspicion while it agrees with its neighbours, without any loop.
+    chain, _ = _spanning(problem, len(state.poses), np.flatnonzero(trusted[:motions]))
+    roots = np.array([group[0] for group in chain.groups()])
+    alone = solver.optimise(replace(problem, anchors=roots), state, trusted.astype(np.float64))
+    steady = trusted & (problem.squared_errors(alone) <= sparse_solver.THRESHOLD)
+    order = np.argsort(~steady[:motions] + 1 * ~trusted[:motions], kind="stable")
+    held = np.zeros(len(problem), np.bool_)
+    held[_spanning(problem, len(state.poses), order)[1]] = True
+    kept = solver.robust(problem, alone, ~steady, held & ~steady)
+    return _settled(problem, alone, kept, solver)
+
+
+def _settled(
+    problem: Problem, state: State, kept: NDArray[np.bool_], solver: ModuleType
+) -> tuple[State, NDArray[np.bool_]]:
+    """Solve what was kept; then keep also what agrees with that, and what alone ties two parts."""
+    motions = len(problem.motions.a)
+    for last in (False, True):
+        errors = problem.squared_errors(state)[:motions]
+        order = np.argsort(np.where(kept[:motions], -1.0, errors), kind="stable")
+        kept = kept.copy()
+        kept[_spanning(problem, len(state.poses), order)[1]] = True
+        state = solver.optimise(problem, state, kept.astype(np.float64))
+        agrees = problem.squared_errors(state) <= sparse_solver.THRESHOLD
+        if last or not (agrees & ~kept).any():
+            break
+        kept |= agrees
+    return state, kept
+
+
+def _spanning(problem: Problem, count: int, order: NDArray[np.int64]) -> tuple[Sets, list[int]]:
+    """Return what motions tie together, and the first ones in an order that do (Kruskal, 1956)."""
+    sets = Sets(range(count))
+    ends = zip(
+        order.tolist(),
+        problem.motions.a[order].tolist(),
+        problem.motions.b[order].tolist(),
+        strict=True,
+    )
+    return sets, [motion for motion, a, b in ends if sets.merge(a, b)]
+
+
+def _solution(
+    problem: Problem, state: State, kept: NDArray[np.bool_], frames: Sequence[int]
+) -> Solution:
+    count = len(frames)
+    equations = problem.linearise(state, kept.astype(np.float64))
+    sizes = np.array([3] * count + [1, 3, 2])
+    *blocks, compass, datum, _lever = diagonal_blocks(*equations.entries, sizes)
+    off = np.flatnonzero(~kept)
+    first = len(problem.motions.a)
+    second = first + len(problem.headings.pose)
+    turn = Pose2(0.0, 0.0, float(state.east_north_from_map[2])).matrix
+    return Solution(
+        {frame: Pose2(*pose) for frame, pose in zip(frames, state.poses.tolist(), strict=True)},
+        dict(zip(frames, blocks, strict=True)),
+        tuple(off[off < first].tolist()),
+        tuple((off[(off >= first) & (off < second)] - first).tolist()),
+        tuple((off[off >= second] - second).tolist()),
+        Senses(
+            state.compass_offset,
+            float(np.sqrt(compass[0, 0])),
+            Pose2(*state.east_north_from_map.tolist()),
+            turn @ datum @ turn.T,
+            (float(state.lever_arm[0]), float(state.lever_arm[1])),
+        ),
+    )
+
+
+def compose_covariance(
+    covariance_a: NDArray[np.float64], a_from_b: Pose2, covariance: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the covariance of ``map_from_b`` from that of ``map_from_a`` and of ``a_from_b``.
+
+    Each in the axes of its right-hand frame; the first is carried over by the adjoint of
+    ``b_from_a`` (Sola, Deray and Atchuthan, A micro Lie theory, 2018, eq. 56).
+    """
+    inverse = a_from_b.inverse()
+    adjoint = inverse.matrix
+    adjoint[0, 2], adjoint[1, 2] = inverse.y, -inverse.x
+    carried: NDArray[np.float64] = adjoint @ covariance_a @ adjoint.T + covariance
+    return carried

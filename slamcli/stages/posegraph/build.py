@@ -1,0 +1,110 @@
+"""From links and readings to arrays, and a first guess of what the senses are off by."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from slamcli.core.geometry import compose_poses, pose_array
+from slamcli.stages.posegraph.problem import Headings, Motions, Places, Problem, State
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import Link
+    from slamcli.stages.posegraph.factors import Heading, Place
+
+_REWEIGHTINGS = 30
+# Metres within which a place counts in full as the first guess is made.
+_NEAR_METRES = 0.1
+
+
+def build(
+    frames: Sequence[int],
+    links: Sequence[Link],
+    headings: Sequence[Heading],
+    places: Sequence[Place],
+    *,
+    lever_known: bool,
+) -> Problem:
+    """Return the problem over frames, in the order of their poses; the first pose is held."""
+    pose_of = {frame: place for place, frame in enumerate(frames)}
+    return Problem(
+        Motions(
+            _numbers([pose_of[link.a] for link in links]),
+            _numbers([pose_of[link.b] for link in links]),
+            pose_array([link.a_from_b for link in links]),
+            np.array([_whitening(link.covariance) for link in links]).reshape(-1, 3, 3),
+        ),
+        Headings(
+            _numbers([pose_of[heading.frame] for heading in headings]),
+            np.array([heading.frame_from_robot.theta for heading in headings]),
+            np.array([heading.heading_radians for heading in headings]),
+            np.array([heading.sigma_radians for heading in headings]),
+        ),
+        Places(
+            _numbers([pose_of[place.frame] for place in places]),
+            pose_array([place.frame_from_robot for place in places]),
+            np.array([(p.east_metres, p.north_metres) for p in places]).reshape(-1, 2),
+            np.array([place.sigma_metres for place in places]),
+        ),
+        np.array([0]),
+        lever_known,
+        len(frames),
+    )
+
+
+def first_state(
+    problem: Problem, poses: NDArray[np.float64], lever_arm_metres: tuple[float, float]
+) -> State:
+    """Return first poses with the compass's offset and the datum that most readings agree on."""
+    senses = np.zeros(6)
+    senses[4:] = lever_arm_metres
+    if len(problem.headings.pose):
+        told = poses[problem.headings.pose, 2] + problem.headings.turn
+        senses[0] = _middle_angle(problem.headings.heading - told)
+    if len(problem.places.pose):
+        antenna = compose_poses(problem.places.motion, np.append(senses[4:], 0.0))
+        in_map = compose_poses(poses[problem.places.pose], antenna)[:, :2]
+        senses[1:4] = _align(in_map, problem.places.east_north)
+    return State(poses, senses)
+
+
+def _numbers(values: list[int]) -> NDArray[np.int64]:
+    return np.array(values, dtype=np.int64)
+
+
+def _whitening(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    root = np.linalg.cholesky(covariance)
+    return np.asarray(solve_triangular(root, np.eye(3), lower=True), dtype=np.float64)
+
+
+def _middle_angle(angles: NDArray[np.float64]) -> float:
+    """Return the median of angles, cut open opposite to their mean."""
+    mean = float(np.angle(np.mean(np.exp(1j * angles))))
+    around = (angles - mean + np.pi) % (2.0 * np.pi) - np.pi
+    return mean + float(np.median(around))
+
+
+def _align(points: NDArray[np.float64], targets: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rigid motion (3,) that brings points to most of their targets.
+
+    Least sum of distances, by iteratively reweighted least squares, each a Procrustes problem of
+    complex numbers.
+    """
+    here, there = points @ (1.0, 1j), targets @ (1.0, 1j)
+    weights = np.ones(len(here))
+    motion = np.zeros(3)
+    for _ in range(_REWEIGHTINGS):
+        weights /= weights.sum()
+        centre, target = weights @ here, weights @ there
+        turn = np.angle(np.sum(weights * np.conj(here - centre) * (there - target)))
+        shift = target - np.exp(1j * turn) * centre
+        motion = np.array([shift.real, shift.imag, turn])
+        misses = np.abs(np.exp(1j * turn) * here + shift - there)
+        weights = 1.0 / np.maximum(misses, _NEAR_METRES)
+    return motion

@@ -1,0 +1,117 @@
+"""The pose graph solved with scipy alone: Levenberg-Marquardt, and graduated non-convexity.
+
+Yang, Antonante, Tzoumas and Carlone, Graduated Non-Convexity for Robust Spatial Perception, RA-L
+2020: truncated least squares, approached from a convex surrogate. Where it begins, every factor
+pulls; as it tightens, those that the others contradict are let go.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+from scipy.stats import chi2
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.stages.posegraph.problem import Problem, State
+
+# A true factor errs by more than the threshold once in ten thousand; a false one mostly by far. One
+# threshold for all, as for three numbers.
+INLIER_PROBABILITY = 0.9999
+THRESHOLD = float(chi2.ppf(INLIER_PROBABILITY, 3))
+_MOST_STEPS = 50
+_SMALLEST_GAIN = 1e-10
+_FIRST_DAMPING = 1e-6
+_MOST_DAMPING = 1e12
+_TIGHTENING = 1.4
+_MOST_TIGHTENINGS = 100
+# A weight below this is none: its factor need not fill the equations.
+LEAST_WEIGHT = 1e-6
+_NEARLY_DECIDED = 1e-3
+
+
+def optimise(
+    problem: Problem, state: State, weights: NDArray[np.float64], most_steps: int = _MOST_STEPS
+) -> State:
+    """Return the state of least weighted squares near a first one (Levenberg-Marquardt)."""
+    cost, damping = problem.cost(state, weights), 0.0
+    for _ in range(most_steps):
+        equations = problem.linearise(state, weights)
+        rows, columns, values = equations.entries
+        size = len(equations.gradient)
+        hessian = sparse.csc_matrix((values, (rows, columns)), shape=(size, size))
+        while True:
+            after = state.moved(_solved(hessian, -equations.gradient, damping))
+            least = problem.cost(after, weights)
+            if least <= cost * (1.0 + _SMALLEST_GAIN) or damping > _MOST_DAMPING:
+                break
+            damping = max(_FIRST_DAMPING, 10.0 * damping)
+        gain, cost, state = cost - least, least, after
+        damping = 0.0 if damping <= _FIRST_DAMPING else 0.1 * damping
+        if gain <= _SMALLEST_GAIN * cost:
+            break
+    return state
+
+
+def robust(
+    problem: Problem,
+    state: State,
+    suspects: NDArray[np.bool_],
+    held: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """Return which factors to keep: those under no suspicion, and the suspects that agree.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State
+        A first one.
+    suspects : (F,) bool
+        Factors that may be false.
+    held : (F,) bool
+        Suspects without which the graph may fall apart; their weight never vanishes.
+    """
+    weights = np.ones(len(problem))
+    state = optimise(problem, state, weights)
+    ratio = problem.squared_errors(state)[suspects] / THRESHOLD
+    if not ratio.size or ratio.max() <= 1.0:
+        return np.ones(len(problem), np.bool_)
+    control = 1.0 / (2.0 * float(ratio.max()) - 1.0)
+    for _ in range(_MOST_TIGHTENINGS):
+        ratio = problem.squared_errors(state)[suspects] / THRESHOLD
+        decided = _weights(ratio, control)
+        weights[suspects] = decided
+        weights[held] = np.maximum(weights[held], LEAST_WEIGHT)
+        state = optimise(problem, state, weights, most_steps=1)
+        if np.all(np.minimum(decided, 1.0 - decided) < _NEARLY_DECIDED) and control > 1.0:
+            break
+        control *= _TIGHTENING
+    kept: NDArray[np.bool_] = ~suspects | (weights > 0.5)
+    return kept
+
+
+def _weights(ratio: NDArray[np.float64], control: float) -> NDArray[np.float64]:
+    """Return the weights of squared errors over their thresholds (eq. 14 of the paper)."""
+    with np.errstate(divide="ignore"):
+        between = np.sqrt(control * (control + 1.0) / ratio) - control
+    weights = np.clip(np.where(ratio <= control / (control + 1.0), 1.0, between), 0.0, 1.0)
+    return np.where(weights < LEAST_WEIGHT, 0.0, weights)
+
+
+def _solved(
+    hessian: sparse.csc_matrix, gradient: NDArray[np.float64], damping: float
+) -> NDArray[np.float64]:
+    if damping > 0.0:
+        hessian = (hessian + sparse.diags_array(damping * hessian.diagonal())).tocsc()
+    factor = splu(
+        hessian,
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    step: NDArray[np.float64] = factor.solve(gradient)
+    return step
