@@ -63,10 +63,12 @@ def main() -> None:
 @click.option("--debug", is_flag=True, help="Also draw every frame's matches, into matches/.")
 @click.option(
     "--export",
-    type=options.Choices(("tum", "kitti", "g2o")),
+    type=options.Choices(("tum", "kitti", "g2o", "links", "geojson")),
     default="",
-    help="Also write, separated by commas: tum, kitti (trajectories), g2o (the pose graph).",
+    help="Also write, separated by commas: tum, kitti (trajectories), g2o (the pose graph), links "
+    "(a table of them), geojson (the track on Earth, with --gps).",
 )
+@options.telemetry_options
 @options.mapper_options
 @options.feature_details
 @options.match_details
@@ -88,9 +90,11 @@ def stitch(
     from slamcli.run.executor import default_workers
     from slamcli.run.stitch import StitchOptions
     from slamcli.run.stitch import stitch as run_stitch
+    from slamcli.run.telemetry import TelemetryFiles
 
     resolved = StitchOptions(
         mapper=options.mapper_of(told),
+        telemetry=options.telemetry_of(told),
         metres_per_pixel=told["metres_per_pixel"],
         max_range_metres=told["max_range"],
         frame_rate=told["frame_rate"],
@@ -101,7 +105,15 @@ def stitch(
     folder = output or default_output(frames[0], "mosaic")
     with ProgressBar() as progress:
         report = run_stitch(
-            frames, calibration, folder, resolved, overwrite=overwrite, progress=progress
+            frames,
+            calibration,
+            folder,
+            resolved,
+            telemetry=TelemetryFiles(
+                told["odometry"], told["compass"], told["gps"], told["time_offset"] is None
+            ),
+            overwrite=overwrite,
+            progress=progress,
         )
     click.echo("\n".join(report.lines))
     sys.exit(report.exit_code)

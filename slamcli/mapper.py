@@ -20,6 +20,7 @@ from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame, Prepared
+from slamcli.fusion import Senses
 from slamcli.graph import Graph, lost
 from slamcli.stages import dense, features, view
 
@@ -28,9 +29,17 @@ if TYPE_CHECKING:
 
     from slamcli.comparison import Trial
     from slamcli.core.records import Calibration, Link, PoseEstimate
+    from slamcli.core.telemetry import (
+        CompassReading,
+        Georeference,
+        GpsReading,
+        OdometryReading,
+        TelemetryOptions,
+    )
 
 # Frames so near in time may be searched for anywhere in each other.
 _MOST_UNGUIDED_STEPS = 2
+_SEARCHED_SIGMAS = 3.0
 
 
 class Mapper:
@@ -40,9 +49,16 @@ class Mapper:
     ----------
     calibration : Calibration
     options : MapperOptions
+    telemetry : TelemetryOptions
+        How readings of the robot's other senses are taken.
     """
 
-    def __init__(self, calibration: Calibration, options: MapperOptions | None = None) -> None:
+    def __init__(
+        self,
+        calibration: Calibration,
+        options: MapperOptions | None = None,
+        telemetry: TelemetryOptions | None = None,
+    ) -> None:
         self.calibration = calibration
         self.options = options or MapperOptions()
         self.metres_per_pixel = self.options.metres_per_pixel or view.registration_metres_per_pixel(
@@ -50,7 +66,7 @@ class Mapper:
         )
         self._tilt = math.radians(self.options.tilt_sigma_degrees)
         self._resampler = view.make_view_resampler(calibration, self.metres_per_pixel)
-        self._graph = Graph()
+        self._graph = Graph(Senses(telemetry))
         self._keyframes: list[Prepared] = []
         self._latest: Prepared | None = None
         self._motion: Pose2 | None = None
@@ -84,6 +100,42 @@ class Mapper:
             index = self._graph.next_index
             frame = Frame(index, f"frame {index}", None, frame)
         return self.step(self.prepare(frame))
+
+    def odometry(self, reading: OdometryReading) -> None:
+        """Take a reading; frames that show nothing are predicted by it, and others searched for.
+
+        It tells of frames up to its own moment and a little beyond: give it before the frame.
+        """
+        self._graph.senses.odometry(reading)
+
+    def compass(self, reading: CompassReading) -> None:
+        """Take a reading; its offset from the map, which all readings share, is estimated."""
+        self._graph.senses.compass(reading)
+
+    def gps(self, reading: GpsReading) -> None:
+        """Take a reading; `georeferences` then tells where on Earth the map lies.
+
+        Raises
+        ------
+        InputError
+            When pyproj is not installed.
+        """
+        self._graph.senses.gps(reading)
+
+    @property
+    def senses(self) -> Senses:
+        """All readings so far."""
+        return self._graph.senses
+
+    @property
+    def georeferences(self) -> dict[int, Georeference]:
+        """Where on Earth each fragment that GPS tells of lies, as of the latest solution."""
+        return dict(self._graph.georeferences)
+
+    @property
+    def switched_off(self) -> frozenset[int]:
+        """Places in `links` of those that the others contradict, as of the latest solution."""
+        return self._graph.switched_off
 
     def prepare(self, frame: Frame) -> Prepared:
         """Compute all that needs no other frame; may run ahead on any thread. Never raises."""
@@ -174,7 +226,7 @@ class Mapper:
         if not self._keyframes:
             return []
         recent = self._keyframes[-1]
-        if before is not None and self._graph.is_placed(before.index):
+        if before is not None and self._graph.is_tracked(before.index):
             recent = before
         attempts: list[tuple[Pose2 | None, dense.Window | None]] = []
         window = self._window(recent, prepared)
@@ -197,6 +249,8 @@ class Mapper:
         A floor that repeats shows the same again a little further on, where no robot can have come
         to in so short a time. After a time long enough the pixels alone are no proof: None.
         """
+        if (window := self._felt(keyframe, prepared)) is not None:
+            return window
         if self._motion is None:
             return self._unguided(keyframe, prepared)
         steps = prepared.index - self._moved_at
@@ -205,9 +259,21 @@ class Mapper:
     def _stray_window(self, prepared: Prepared) -> dense.Window | None:
         """Return where a frame may lie for the latest lost one: as far on as frames did before."""
         assert self._stray is not None
+        if (window := self._felt(self._stray, prepared)) is not None:
+            return window
         if self._motion is None:
             return self._unguided(self._stray, prepared)
         return self._ahead(Pose2(), prepared.index - self._stray.index)
+
+    def _felt(self, other: Prepared, prepared: Prepared) -> dense.Window | None:
+        """Return where odometry says that a frame lies for another, as free as after one step."""
+        carried = self._graph.carried(other.index, prepared)
+        if carried is None:
+            return None
+        motion, covariance = carried
+        share = self.options.search_share_of_range * self.calibration.max_range_metres
+        radius = share + _SEARCHED_SIGMAS * math.sqrt(covariance[:2, :2].max())
+        return dense.Window(motion, math.radians(self.options.search_angle_degrees), radius)
 
     def _unguided(self, other: Prepared, prepared: Prepared) -> dense.Window | None:
         """Return everywhere for frames that follow each other; nowhere for others."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import fields
@@ -11,6 +12,7 @@ from typing import Any, TypeVar
 import click
 
 from slamcli.core.config import FeatureOptions, MapperOptions, MatchOptions
+from slamcli.core.telemetry import TelemetryOptions
 
 Options = TypeVar("Options")
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -239,6 +241,7 @@ match_details = stacked(
 
 
 _MAPPER = MapperOptions()
+_TELEMETRY = TelemetryOptions()
 
 mapper_options = stacked(
     click.option(
@@ -345,6 +348,76 @@ def mapper_of(told: Mapping[str, Any]) -> MapperOptions:
         dense=told["dense"],
         search_angle_degrees=told["search_angle"],
         max_rival_evidence=told["max_rival"],
+    )
+
+
+class Measured(click.ParamType["tuple[float, ...] | None"]):
+    """So many numbers, separated by commas, or the word auto: None."""
+
+    def __init__(self, count: int, name: str) -> None:
+        self.count, self.name = count, name
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[float, ...] | None:
+        """Return the numbers; a usage error says what form is wanted."""
+        if value == "auto":
+            return None
+        try:
+            numbers = tuple(map(float, value.split(",")))
+        except ValueError:
+            numbers = ()
+        if len(numbers) != self.count or not all(map(math.isfinite, numbers)):
+            self.fail(f"{value!r} is not of the form {self.name}", param, ctx)
+        return numbers
+
+
+telemetry_options = stacked(
+    click.option(
+        "--odometry",
+        type=PATH,
+        help="The robot's odometry: CSV with stamp (s), x, y (m), heading (rad), or TUM. It "
+        "carries the robot over floor that shows nothing.",
+    ),
+    click.option(
+        "--compass",
+        type=PATH,
+        help="Headings: CSV with stamp and heading (rad from east) or bearing (from north).",
+    ),
+    click.option(
+        "--gps",
+        type=PATH,
+        help="Places: CSV with stamp, latitude, longitude (WGS84). Needs slamcli[geo].",
+    ),
+    click.option(
+        "--time-offset",
+        type=Measured(1, "SECONDS|auto"),
+        default="0",
+        show_default=True,
+        help="Added to the readings' stamps to get the frames'. auto finds it from odometry.",
+    ),
+    click.option(
+        "--lever-arm",
+        type=Measured(2, "AHEAD,LEFT|auto"),
+        default="0,0",
+        show_default=True,
+        help="Metres from the robot's origin to the GPS antenna. auto estimates it.",
+    ),
+    click.option(
+        "--odometry-sigma",
+        type=POSITIVE,
+        default=_TELEMETRY.odometry_distance_share,
+        show_default=True,
+        help="One standard deviation of odometry's distances, as a share of them.",
+    ),
+)
+
+
+def telemetry_of(told: Mapping[str, Any]) -> TelemetryOptions:
+    """Return what the flags of a command that takes readings ask for."""
+    offset = told["time_offset"]
+    return TelemetryOptions(
+        time_offset_seconds=0.0 if offset is None else offset[0],
+        lever_arm_metres=told["lever_arm"],
+        odometry_distance_share=told["odometry_sigma"],
     )
 
 

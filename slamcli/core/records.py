@@ -367,6 +367,9 @@ class PoseEstimate:
         Of the best link that placed the frame; nan without one.
     revised : tuple of int
         Frames whose earlier estimates this update changed.
+    odom_from_robot : Pose2 or None
+        The motions of all frames so far added up: it drifts and never jumps (ROS REP 105), for a
+        controller, while `map_from_robot` may be revised. None when lost.
     """
 
     index: int
@@ -380,6 +383,7 @@ class PoseEstimate:
     inliers: int = 0
     score: float = float("nan")
     revised: tuple[int, ...] = field(default=())
+    odom_from_robot: Pose2 | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

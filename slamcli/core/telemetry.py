@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 from slamcli.core.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from slamcli.core.geometry import Pose2
 
 
@@ -109,6 +112,9 @@ class TelemetryOptions:
     odometry_metres, odometry_radians : float
         Of each motion besides, however short.
     odometry_memory_metres : float
+    memory_seconds : float
+        Readings of compass or GPS nearer in time than this err alike (iron nearby, echoes), and
+        count as one together; each by itself may still be an outlier.
     longest_gap_seconds : float
         Between two readings of odometry that are interpolated.
     """
@@ -121,4 +127,31 @@ class TelemetryOptions:
     odometry_metres: float = 0.0005
     odometry_radians: float = 0.0005
     odometry_memory_metres: float = 10.0
+    memory_seconds: float = 1.0
     longest_gap_seconds: float = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Georeference:
+    """Where on Earth a map lies, by GPS.
+
+    Attributes
+    ----------
+    datum_degrees : (float, float)
+        WGS84 latitude and longitude of the origin of the east-north plane.
+    east_north_from_map : Pose2
+        Metres east and north of the datum.
+    covariance : (3, 3) float64
+        Of that: x, y (m), theta (rad), east and north.
+    lever_arm_metres : (float, float)
+        Of the antenna, ahead and to the left of the robot's origin; given or estimated.
+    readings, outliers : int
+        GPS readings of the map's frames, and how many of them the others contradict.
+    """
+
+    datum_degrees: tuple[float, float]
+    east_north_from_map: Pose2
+    covariance: NDArray[np.float64]
+    lever_arm_metres: tuple[float, float]
+    readings: int
+    outliers: int

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from slamcli.core.errors import InputError
+from slamcli.core.geometry import pose_array
 from slamcli.graph import placed_fragments
-from slamcli.io.graphs import write_g2o
+from slamcli.io.graphs import write_g2o, write_links
+from slamcli.io.tracks import write_geojson
 from slamcli.io.trajectories import write_kitti, write_tum
+from slamcli.stages.geodesy import LocalPlane, projection
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -15,28 +21,71 @@ if TYPE_CHECKING:
 
     from slamcli.core.geometry import Pose2
     from slamcli.core.records import Link, PoseEstimate
+    from slamcli.core.telemetry import Georeference
     from slamcli.io.frames import FrameFile
+    from slamcli.io.tables import Scalar
+    from slamcli.mapper import Mapper
 
-PRODUCTS = ("trajectory*.tum", "trajectory*.kitti", "graph*.g2o")
+PRODUCTS = ("trajectory*.tum", "trajectory*.kitti", "graph*.g2o", "track.geojson", "links.csv")
 
 
-def check_exports(kinds: Sequence[str], files: Sequence[FrameFile]) -> None:
+def check_exports(kinds: Sequence[str], files: Sequence[FrameFile], *, has_gps: bool) -> None:
     """Refuse, before the work, what could not be written after it; raises InputError."""
     unstamped = next((file for file in files if file.stamp is None), None)
     if "tum" in kinds and unstamped is not None:
         raise InputError(
             f"{unstamped.path} has no stamp, which --export tum needs; give --frame-rate"
         )
+    if "geojson" in kinds and not has_gps:
+        raise InputError("--export geojson needs --gps, which tells where on Earth the track is")
 
 
-def write_exports(
-    folder: Path, kinds: Sequence[str], estimates: Sequence[PoseEstimate], links: Sequence[Link]
-) -> None:
-    """Write what was asked for, a file a fragment."""
-    for fragment, members in placed_fragments(estimates).items():
+def write_exports(folder: Path, kinds: Sequence[str], mapper: Mapper) -> None:
+    """Write what was asked for, a file a fragment, or one for all."""
+    fragments = placed_fragments(mapper.estimates)
+    for fragment, members in fragments.items():
         suffix = "" if fragment == 0 else f"_{fragment}"
         for kind in kinds:
-            EXPORTS[kind](folder, suffix, members, links)
+            if kind in EXPORTS:
+                EXPORTS[kind](folder, suffix, members, mapper.links)
+    if "links" in kinds:
+        write_links(folder / "links.csv", mapper.links, mapper.switched_off)
+    if "geojson" in kinds:
+        tracks = {}
+        for fragment, found in mapper.georeferences.items():
+            poses = pose_array(list(_poses(fragments[fragment]).values()))
+            places = found.east_north_from_map.apply(poses[:, :2])
+            tracks[fragment] = LocalPlane(found.datum_degrees).geodetic(places)
+        write_geojson(folder / "track.geojson", tracks)
+
+
+def georeference_table(found: Georeference) -> dict[str, Scalar]:
+    """Return where a map lies on Earth as a table: degrees, metres and, of angles, degrees."""
+    pose, sigmas = found.east_north_from_map, np.sqrt(np.diag(found.covariance))
+    return {
+        "datum_latitude_degrees": found.datum_degrees[0],
+        "datum_longitude_degrees": found.datum_degrees[1],
+        "projection": projection(found.datum_degrees),
+        "origin_east_metres": pose.x,
+        "origin_north_metres": pose.y,
+        "x_axis_degrees_from_east": math.degrees(pose.theta),
+        "origin_east_sigma_metres": float(sigmas[0]),
+        "origin_north_sigma_metres": float(sigmas[1]),
+        "x_axis_sigma_degrees": math.degrees(sigmas[2]),
+        "lever_arm_ahead_metres": found.lever_arm_metres[0],
+        "lever_arm_left_metres": found.lever_arm_metres[1],
+        "gps_readings": found.readings,
+        "gps_outliers": found.outliers,
+    }
+
+
+def tell(found: Georeference) -> str:
+    """Return how well a map's place on Earth is known, in a line."""
+    sigmas = np.sqrt(np.diag(found.covariance))
+    return (
+        f"origin known to {max(sigmas[:2]):.2g} m, direction to {math.degrees(sigmas[2]):.2g} "
+        f"degrees, by {found.readings} GPS readings, {found.outliers} of them outliers"
+    )
 
 
 def _tum(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ from slamcli import __version__
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import apply_homography, invert, path_length
 from slamcli.core.records import Prepared
+from slamcli.core.telemetry import TelemetryOptions
 from slamcli.graph import placed_fragments
 from slamcli.io import rasters, tables
 from slamcli.io.files import output_folder, write_image
@@ -21,6 +22,7 @@ from slamcli.painter import Painter
 from slamcli.run import exports
 from slamcli.run.executor import ordered
 from slamcli.run.inputs import open_inputs
+from slamcli.run.telemetry import Telemetry, TelemetryFiles, feed, feed_shifted, read_telemetry
 from slamcli.stages import camera, view
 from slamcli.stages.draw.matches import draw_matches
 from slamcli.stages.draw.trajectory import draw_trajectory
@@ -62,6 +64,7 @@ class StitchOptions:
     Attributes
     ----------
     mapper : MapperOptions
+    telemetry : TelemetryOptions
     metres_per_pixel : float or None
         Of the mosaic; None chooses it from the camera's sampling.
     max_range_metres : float or None
@@ -77,6 +80,7 @@ class StitchOptions:
     """
 
     mapper: MapperOptions
+    telemetry: TelemetryOptions = field(default_factory=TelemetryOptions)
     metres_per_pixel: float | None = None
     max_range_metres: float | None = None
     frame_rate: float | None = None
@@ -99,6 +103,7 @@ def stitch(
     output: Path,
     options: StitchOptions,
     *,
+    telemetry: TelemetryFiles | None = None,
     overwrite: bool,
     progress: Progress,
 ) -> StitchReport:
@@ -110,22 +115,32 @@ def stitch(
     """
     started = time.monotonic()
     inputs = open_inputs(sources, calibration_path, options.frame_rate, options.max_range_metres)
-    exports.check_exports(options.export, inputs.files)
+    files = telemetry or TelemetryFiles()
+    readings = read_telemetry(files, inputs.files)
+    exports.check_exports(options.export, inputs.files, has_gps=bool(readings.gps))
     with output_folder(output, (*PRODUCTS, DEBUG_PRODUCTS), overwrite=overwrite) as staging:
-        mapper = Mapper(inputs.calibration, options.mapper)
-        estimates = _locate(mapper, inputs, options, staging, progress)
+        mapper = Mapper(inputs.calibration, options.mapper, options.telemetry)
+        note = _locate(mapper, inputs, options, readings, staging, progress)
+        estimates = mapper.estimates
         area = _write_maps(inputs, estimates, options, staging, progress)
         write_poses(staging / "poses.csv", estimates)
         seconds = time.monotonic() - started
-        exports.write_exports(staging, options.export, estimates, mapper.links)
-        _write_run(staging, inputs, options, estimates, mapper)
-    return _report(inputs, estimates, area, seconds, output)
+        exports.write_exports(staging, options.export, mapper)
+        _write_run(staging, inputs, options, files, mapper)
+    return _report(inputs, mapper, area, seconds, output, note)
 
 
 def _locate(
-    mapper: Mapper, inputs: Inputs, options: StitchOptions, staging: Path, progress: Progress
-) -> list[PoseEstimate]:
-    """First walk: every frame to its pose or its reason."""
+    mapper: Mapper,
+    inputs: Inputs,
+    options: StitchOptions,
+    readings: Telemetry,
+    staging: Path,
+    progress: Progress,
+) -> str:
+    """First walk: every frame to its pose or its reason; return the clocks' offset if found."""
+    if not readings.find_time_offset:
+        feed(mapper, readings)
     total = len(inputs.files)
     work = partial(_read_and_prepare, mapper)
     for done, prepared in enumerate(ordered(work, inputs.files, options.workers), start=1):
@@ -133,7 +148,9 @@ def _locate(
         if options.debug:
             _draw_trials(mapper.trials, staging / "matches")
         progress("locating", done, total)
-    return mapper.finish()
+    note = feed_shifted(mapper, readings) if readings.find_time_offset else ""
+    mapper.finish()
+    return note
 
 
 def _draw_trials(trials: Sequence[Trial], folder: Path) -> None:
@@ -245,9 +262,10 @@ def _write_run(
     staging: Path,
     inputs: Inputs,
     options: StitchOptions,
-    estimates: Sequence[PoseEstimate],
+    files: TelemetryFiles,
     mapper: Mapper,
 ) -> None:
+    estimates = mapper.estimates
     sections: dict[str, dict[str, tables.Scalar]] = {
         "": {
             "version": __version__,
@@ -255,6 +273,9 @@ def _write_run(
             "unit": inputs.calibration.unit,
             "first_frame": str(inputs.files[0].path),
             "registration_metres_per_pixel": mapper.metres_per_pixel,
+            "odometry": str(files.odometry) if files.odometry else None,
+            "compass": str(files.compass) if files.compass else None,
+            "gps": str(files.gps) if files.gps else None,
         }
     }
     for section, key, value in tables.flatten(options):
@@ -262,21 +283,28 @@ def _write_run(
     sections["counts"] = {
         "frames": len(estimates),
         "placed": sum(e.map_from_robot is not None for e in estimates),
+        "predicted": sum(e.status == "predicted" for e in estimates),
         "lost": sum(e.status == "lost" for e in estimates),
         "fragments": len(placed_fragments(estimates)),
         "links": len(mapper.links),
+        "switched_off": len(mapper.switched_off),
     }
+    for fragment, georeference in mapper.georeferences.items():
+        name = "georeference" if fragment == 0 else f"georeference_{fragment}"
+        sections[name] = exports.georeference_table(georeference)
     tables.write_toml(staging / "run.toml", sections)
 
 
 def _report(
     inputs: Inputs,
-    estimates: Sequence[PoseEstimate],
+    mapper: Mapper,
     area_square_metres: float,
     seconds: float,
     output: Path,
+    time_offset: str,
 ) -> StitchReport:
     """Return the closing table; exit 1 when a sequence of frames yields no map at all."""
+    estimates = mapper.estimates
     fragments = placed_fragments(estimates)
     placed = sum(len(members) for members in fragments.values())
     unit = inputs.calibration.unit
@@ -289,6 +317,14 @@ def _report(
         ("placed", f"{placed} ({placed / len(estimates):.0%})"),
         ("fragments", str(len(fragments))),
     ]
+    predicted = sum(e.status == "predicted" for e in estimates)
+    if predicted:
+        rows.append(("predicted", f"{predicted}, carried by odometry"))
+    if mapper.switched_off:
+        rows.append(("links off", f"{len(mapper.switched_off)}, contradicted by the others"))
+    if time_offset:
+        rows.append(("time offset", time_offset))
+    rows += [("on Earth", exports.tell(found)) for found in mapper.georeferences.values()]
     rows += [("lost", f"{e.name}: {e.reason}") for e in estimates if e.status == "lost"]
     rows += [
         ("path length", f"{length:.3f} {unit}"),

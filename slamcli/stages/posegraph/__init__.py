@@ -3,8 +3,8 @@
 A pose graph over SE(2): motions between frames, with headings of a compass and places of GPS, the
 former's offset and the latter's frame and lever arm among the unknowns. Loops and the other senses
 are suspects, and so are steps that contradict their neighbours: graduated non-convexity switches
-off those that the rest contradicts. Solved by GTSAM (Dellaert and Kaess, Factor Graphs for Robot
-Perception, 2017) where it is installed, else by scipy.
+off those that the rest contradicts. Links alone are solved by GTSAM (Dellaert and Kaess, Factor
+Graphs for Robot Perception, 2017) where it is installed, all else by scipy.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import numpy as np
 from slamcli.core.geometry import Pose2, pose_array
 from slamcli.stages.posegraph import gtsam_solver, sparse_solver
 from slamcli.stages.posegraph.build import build, first_state
-from slamcli.stages.posegraph.components import Sets, components
-from slamcli.stages.posegraph.factors import Heading, Place, Senses, Solution
+from slamcli.stages.posegraph.components import Sets, components, spanning
+from slamcli.stages.posegraph.factors import Heading, Place, SenseOffsets, Solution
 from slamcli.stages.posegraph.marginals import diagonal_blocks
 
 if TYPE_CHECKING:
@@ -37,11 +37,12 @@ if TYPE_CHECKING:
 __all__ = [
     "Heading",
     "Place",
-    "Senses",
+    "SenseOffsets",
     "Solution",
     "components",
     "compose_covariance",
     "solve",
+    "spanning",
 ]
 
 _TRUSTED = ("step", "odometry")
@@ -69,16 +70,16 @@ def solve(
     lever_arm_metres : (float, float) or None
         Of the GPS antenna; None estimates it.
     solver : str or None
-        None takes GTSAM where it is installed and can: it has no factor for an unknown lever arm.
+        None takes GTSAM where it is installed; for headings and places always scipy.
     """
     frames = sorted(initial)
     problem = build(frames, links, headings, places, lever_known=lever_arm_metres is not None)
     first = first_state(
         problem, pose_array([initial[frame] for frame in frames]), lever_arm_metres or (0.0, 0.0)
     )
-    able = find_spec("gtsam") is not None and problem.lever_known
-    chosen = solver or ("gtsam" if able else "scipy")
-    module = gtsam_solver if chosen == "gtsam" else sparse_solver
+    chosen = solver or ("gtsam" if find_spec("gtsam") else "scipy")
+    links_alone = not headings and not places
+    module = gtsam_solver if chosen == "gtsam" and links_alone else sparse_solver
     trusted = np.zeros(len(problem), np.bool_)
     trusted[: len(links)] = [link.kind in _TRUSTED for link in links]
     state, kept = _agreed(problem, first, trusted, module)
@@ -153,7 +154,7 @@ def _solution(
         tuple(off[off < first].tolist()),
         tuple((off[(off >= first) & (off < second)] - first).tolist()),
         tuple((off[off >= second] - second).tolist()),
-        Senses(
+        SenseOffsets(
             state.compass_offset,
             float(np.sqrt(compass[0, 0])),
             Pose2(*state.east_north_from_map.tolist()),

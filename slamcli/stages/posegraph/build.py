@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from slamcli.core.geometry import compose_poses, pose_array
 from slamcli.stages.posegraph.problem import Headings, Motions, Places, Problem, State
@@ -38,7 +37,7 @@ def build(
             _numbers([pose_of[link.a] for link in links]),
             _numbers([pose_of[link.b] for link in links]),
             pose_array([link.a_from_b for link in links]),
-            np.array([_whitening(link.covariance) for link in links]).reshape(-1, 3, 3),
+            _whitenings(np.array([link.covariance for link in links]).reshape(-1, 3, 3)),
         ),
         Headings(
             _numbers([pose_of[heading.frame] for heading in headings]),
@@ -51,6 +50,13 @@ def build(
             pose_array([place.frame_from_robot for place in places]),
             np.array([(p.east_metres, p.north_metres) for p in places]).reshape(-1, 2),
             np.array([place.sigma_metres for place in places]),
+        ),
+        np.concatenate(
+            [
+                np.ones(len(links)),
+                np.array([heading.share for heading in headings]),
+                np.array([place.share for place in places]),
+            ]
         ),
         np.array([0]),
         lever_known,
@@ -78,9 +84,9 @@ def _numbers(values: list[int]) -> NDArray[np.int64]:
     return np.array(values, dtype=np.int64)
 
 
-def _whitening(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    root = np.linalg.cholesky(covariance)
-    return np.asarray(solve_triangular(root, np.eye(3), lower=True), dtype=np.float64)
+def _whitenings(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (M, 3, 3) factors that turn errors of such covariances to ones of unit covariance."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariances)), dtype=np.float64)
 
 
 def _middle_angle(angles: NDArray[np.float64]) -> float:

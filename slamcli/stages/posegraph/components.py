@@ -44,3 +44,9 @@ def components(indices: Sequence[int], links: Sequence[Link]) -> list[list[int]]
     for link in links:
         sets.merge(link.a, link.b)
     return sets.groups()
+
+
+def spanning(indices: Sequence[int], links: Sequence[Link]) -> list[Link]:
+    """Return the first links, in the order given, that connect all that they do (Kruskal, 1956)."""
+    sets = Sets(indices)
+    return [link for link in links if sets.merge(link.a, link.b)]

@@ -24,12 +24,15 @@ class Heading:
     heading_radians : float
         Counter-clockwise from the compass's own zero.
     sigma_radians : float
+    share : float
+        What it counts beside a reading that errs independently of all others.
     """
 
     frame: int
     frame_from_robot: Pose2
     heading_radians: float
     sigma_radians: float
+    share: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +47,8 @@ class Place:
     east_metres, north_metres : float
         Of the datum.
     sigma_metres : float
+    share : float
+        What it counts beside a reading that errs independently of all others.
     """
 
     frame: int
@@ -51,10 +56,11 @@ class Place:
     east_metres: float
     north_metres: float
     sigma_metres: float
+    share: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Senses:
+class SenseOffsets:
     """What the other senses' readings are off by.
 
     Attributes
@@ -89,7 +95,7 @@ class Solution:
         Places in the given links of those that the others contradict.
     headings_off, places_off : tuple of int
         The same of the compass's and the GPS's readings.
-    senses : Senses
+    offsets : SenseOffsets
         Without meaning where there was no reading.
     """
 
@@ -98,4 +104,4 @@ class Solution:
     switched_off: tuple[int, ...]
     headings_off: tuple[int, ...]
     places_off: tuple[int, ...]
-    senses: Senses
+    offsets: SenseOffsets

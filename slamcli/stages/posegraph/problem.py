@@ -133,6 +133,8 @@ class Problem:
     Attributes
     ----------
     motions, headings, places
+    shares : (F,) float64
+        What each factor counts beside one that errs independently of all others.
     anchors : (A,) int64
         Places of the poses that are held: one for all that hangs together.
     lever_known : bool
@@ -142,6 +144,7 @@ class Problem:
     motions: Motions
     headings: Headings
     places: Places
+    shares: NDArray[np.float64]
     anchors: NDArray[np.int64]
     lever_known: bool
     pose_count: int
@@ -161,7 +164,7 @@ class Problem:
     def cost(self, state: State, weights: NDArray[np.float64]) -> float:
         """Return the weighted sum of squares that a solution makes least."""
         lever = float(np.sum(self._lever_errors(state) ** 2))
-        return float(weights @ self.squared_errors(state)) + lever
+        return float((weights * self.shares) @ self.squared_errors(state)) + lever
 
     @property
     def _sense_sigmas(self) -> NDArray[np.float64]:
@@ -183,6 +186,7 @@ class Problem:
         """
         first, second = len(self.motions.a), len(self.motions.a) + len(self.headings.pose)
         count = len(state.poses)
+        weights = weights * self.shares
         equations = Equations(3 * count + len(state.senses))
         used = np.flatnonzero(weights[:first])
         _add_motions(equations, self.motions, state, used, weights[used])

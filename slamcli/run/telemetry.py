@@ -1,0 +1,110 @@
+"""What the robot's other senses recorded beside the frames, handed to the mapper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from slamcli.core.errors import InputError
+from slamcli.core.geometry import pose_array
+from slamcli.graph import placed_fragments
+from slamcli.io.telemetry import read_compass, read_gps, read_odometry
+from slamcli.stages.telemetry import estimate_time_offset
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
+    from slamcli.io.frames import FrameFile
+    from slamcli.mapper import Mapper
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetryFiles:
+    """Where the readings are.
+
+    Attributes
+    ----------
+    odometry, compass, gps : Path or None
+    find_time_offset : bool
+        Find by how much their clock differs, from odometry and what the frames show.
+    """
+
+    odometry: Path | None = None
+    compass: Path | None = None
+    gps: Path | None = None
+    find_time_offset: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Telemetry:
+    """All readings of a drive.
+
+    Attributes
+    ----------
+    odometry, compass, gps : lists
+    find_time_offset : bool
+    """
+
+    odometry: list[OdometryReading]
+    compass: list[CompassReading]
+    gps: list[GpsReading]
+    find_time_offset: bool
+
+
+def read_telemetry(files: TelemetryFiles, frames: Sequence[FrameFile]) -> Telemetry:
+    """Return the readings of all files that were named.
+
+    Raises
+    ------
+    InputError
+        Also when the frames have no stamps to tie readings to.
+    """
+    named = next((p for p in (files.odometry, files.compass, files.gps) if p is not None), None)
+    if named is not None and all(frame.stamp is None for frame in frames):
+        raise InputError(f"{named} has stamps and the frames have none; give --frame-rate")
+    if files.find_time_offset and files.odometry is None:
+        raise InputError("--time-offset auto needs --odometry")
+    return Telemetry(
+        [] if files.odometry is None else read_odometry(files.odometry),
+        [] if files.compass is None else read_compass(files.compass),
+        [] if files.gps is None else read_gps(files.gps),
+        files.find_time_offset,
+    )
+
+
+def feed(mapper: Mapper, telemetry: Telemetry) -> None:
+    """Give the mapper all readings. Raises InputError without pyproj for GPS."""
+    for odometry in telemetry.odometry:
+        mapper.odometry(odometry)
+    for compass in telemetry.compass:
+        mapper.compass(compass)
+    for gps in telemetry.gps:
+        mapper.gps(gps)
+
+
+def feed_shifted(mapper: Mapper, telemetry: Telemetry) -> str:
+    """Find the clocks' offset from the frames placed so far, then feed; return what to tell.
+
+    Raises
+    ------
+    InputError
+        When the motion does not tell the offset.
+    """
+    members = max(placed_fragments(mapper.estimates).values(), key=len, default=[])
+    seen = [e for e in members if e.map_from_robot is not None and e.stamp is not None]
+    poses = [e.map_from_robot for e in seen if e.map_from_robot is not None]
+    odometry = telemetry.odometry
+    found = estimate_time_offset(
+        ([r.stamp for r in odometry], pose_array([r.pose for r in odometry])),
+        ([e.stamp for e in seen if e.stamp is not None], pose_array(poses)),
+    )
+    if found is None:
+        raise InputError(
+            "the motion is too even, or too short, to find by how much the clocks differ; "
+            "give --time-offset in seconds"
+        )
+    mapper.senses.shift(found.seconds)
+    feed(mapper, telemetry)
+    return f"{found.seconds:+.3f} s, sigma {found.sigma_seconds:.3f} s"
