@@ -13,9 +13,9 @@ import numpy as np
 
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, PoseEstimate
-from slamcli.core.telemetry import Georeference
 from slamcli.fusion import Senses
 from slamcli.stages import posegraph
+from slamcli.weighing import Weighing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -23,17 +23,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from slamcli.core.records import Prepared
+    from slamcli.core.telemetry import Georeference
 
 SAME_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
 # As a map grows by this share and so many frames, compass and GPS correct it again.
 _SOLVE_AFTER_GROWTH = 1.25
 _SOLVE_AFTER_FRAMES = 20
-# A fragment so surely placed on Earth is tied to others that are.
-_SURE_HEADING_RADIANS = 0.1
-_SURE_PLACE_METRES = 1.0
-# One less sure than this is not placed on Earth at all.
-_LEAST_SURE_HEADING_RADIANS = 1.0
-_TRUST = ("step", "odometry", "loop")
 
 
 class Graph:
@@ -90,9 +85,9 @@ class Graph:
             return known
         fragment = self._next_fragment
         self._next_fragment += 1
-        return self._keep(
-            _estimate(prepared, Pose2(), fragment, SAME_POSE_COVARIANCE),
-        )
+        odom = self._odom_after(prepared, None)
+        begun = _estimate(prepared, Pose2(), fragment, SAME_POSE_COVARIANCE)
+        return self._keep(replace(begun, odom_from_robot=odom))
 
     def place(self, prepared: Prepared, links: Sequence[Link]) -> PoseEstimate:
         """Place a frame by the surest of its links; those to another fragment join the two."""
@@ -168,17 +163,21 @@ class Graph:
         origin. A frame that nothing ties to any other is lost; one that only odometry ties to the
         others is predicted.
         """
-        groups = self._components()
-        linked = [group for group in groups if len(group) > 1] or groups[:1]
-        for group in groups:
-            if group not in linked:
-                self._keep(lost(self._estimates[group[0]], "overlaps no other frame"))
-        parts = self._tied_by_gps([self._spread(group) for group in linked])
-        parts.sort(key=lambda poses: (-len(poses), min(poses)))
+        parts = self._weighing.parts()
+        linked = [part for part in parts if len(part) > 1] or parts[:1]
+        for part in parts:
+            if part not in linked:
+                self._keep(lost(self._estimates[min(part)], "overlaps no other frame"))
+        linked = self._weighing.tied_by_gps(linked)
+        linked.sort(key=lambda part: (-len(part), min(part)))
         self.switched_off = frozenset()
         self.georeferences = {}
-        for fragment, initial in enumerate(parts):
+        for fragment, initial in enumerate(linked):
             self._solve(initial, fragment)
+
+    @property
+    def _weighing(self) -> Weighing:
+        return Weighing(self.estimates, self.links, self.senses)
 
     def _keep(self, estimate: PoseEstimate) -> PoseEstimate:
         self._estimates[estimate.index] = estimate
@@ -209,51 +208,20 @@ class Graph:
             and len(self._estimates) > _SOLVE_AFTER_GROWTH * self._solved_at + _SOLVE_AFTER_FRAMES
         )
 
-    def _components(self) -> list[list[int]]:
-        """Return the frames that links and odometry connect, from the first placed one on."""
-        chain = self.senses.chain(self.estimates)
-        placed = {index for index in self._estimates if self.is_placed(index)}
-        known = placed.union(*((link.a, link.b) for link in chain))
-        groups = []
-        for group in posegraph.components(sorted(known), [*self.links, *chain]):
-            first = next((index for index in group if index in placed), None)
-            if first is not None:
-                groups.append([index for index in group if index >= first])
-        return groups
-
     def _join(self, index: int) -> None:
         """Re-solve the component that a frame belongs to."""
-        group = next(group for group in self._components() if index in group)
-        self._solve(self._spread(group), self._estimates[group[0]].fragment)
-        self.revise(index, tuple(member for member in group if member != index))
-
-    def _tied_by_gps(self, parts: list[dict[int, Pose2]]) -> list[dict[int, Pose2]]:
-        """Return first poses of the parts, those that GPS places on Earth surely made one."""
-        if len(parts) < 2 or self.senses.datum_degrees is None:
-            return parts
-        together: dict[int, Pose2] = {}
-        apart = []
-        for initial in parts:
-            solution = self._weigh(initial)[0]
-            offsets = solution.offsets
-            sigmas = np.sqrt(np.diag(offsets.east_north_covariance))
-            if sigmas[2] < _SURE_HEADING_RADIANS and sigmas[:2].max() < _SURE_PLACE_METRES:
-                here = offsets.east_north_from_map
-                together.update((k, here @ pose) for k, pose in solution.poses.items())
-            else:
-                apart.append(initial)
-        if not together:
-            return apart
-        back = together[min(together)].inverse()
-        return [{k: back @ together[k] for k in sorted(together)}, *apart]
+        part = next(part for part in self._weighing.parts() if index in part)
+        self._solve(part, self._estimates[min(part)].fragment)
+        self.revise(index, tuple(member for member in sorted(part) if member != index))
 
     def _solve(self, initial: dict[int, Pose2], fragment: int) -> None:
         """Solve one component, its first frame at the origin, and revise its estimates."""
-        solution, numbers, readings = self._weigh(initial)
+        weighed = self._weighing.weigh(initial)
+        solution = weighed.solution
         self._solved_at = len(self._estimates)
-        off = {numbers[k] for k in solution.switched_off if k < len(numbers)}
-        self.switched_off = self.switched_off.difference(numbers) | off
-        seen = {k for n in set(numbers) - off for k in (self.links[n].a, self.links[n].b)}
+        self.switched_off = self.switched_off.difference(weighed.numbers) | weighed.switched_off
+        used = set(weighed.numbers) - weighed.switched_off
+        seen = {end for number in used for end in (self.links[number].a, self.links[number].b)}
         for index in initial:
             known = self._estimates[index]
             tracked = known.status == "tracked" or index in seen
@@ -265,60 +233,8 @@ class Graph:
                 status="tracked" if tracked else "predicted",
                 reason="" if tracked and known.status != "tracked" else known.reason,
             )
-        self._georeference(fragment, solution, readings)
-
-    def _weigh(self, initial: dict[int, Pose2]) -> tuple[posegraph.Solution, list[int], int]:
-        """Return a component's solution, the places of its links, and how many GPS readings."""
-        numbers = [n for n, link in enumerate(self.links) if link.a in initial]
-        frames = [
-            replace(self._estimates[index], map_from_robot=initial[index], fragment=0)
-            for index in sorted(initial)
-        ]
-        places = self.senses.places(frames)
-        solution = posegraph.solve(
-            initial,
-            [self.links[n] for n in numbers] + self.senses.chain(frames),
-            self.senses.headings(frames),
-            places,
-            lever_arm_metres=self.senses.options.lever_arm_metres,
-        )
-        return solution, numbers, len(places)
-
-    def _georeference(self, fragment: int, solution: posegraph.Solution, readings: int) -> None:
-        offsets, datum = solution.offsets, self.senses.datum_degrees
-        heading_sigma = float(np.sqrt(offsets.east_north_covariance[2, 2]))
-        if datum is None or not readings or heading_sigma > _LEAST_SURE_HEADING_RADIANS:
-            return
-        self.georeferences[fragment] = Georeference(
-            datum,
-            offsets.east_north_from_map,
-            offsets.east_north_covariance,
-            offsets.lever_arm_metres,
-            readings,
-            len(solution.places_off),
-        )
-
-    def _spread(self, group: list[int]) -> dict[int, Pose2]:
-        """Return first poses for a component, walked from its first frame.
-
-        Along steps where they lead, else odometry, else loops: these alone may be false.
-        """
-        members = set(group)
-        links = [link for link in self.links if link.a in members]
-        links += self.senses.chain([self._estimates[index] for index in group])
-        links.sort(key=lambda link: _TRUST.index(link.kind))
-        neighbours: dict[int, list[tuple[int, Pose2]]] = {index: [] for index in group}
-        for link in posegraph.spanning(group, links):
-            neighbours[link.a].append((link.b, link.a_from_b))
-            neighbours[link.b].append((link.a, link.a_from_b.inverse()))
-        poses = {group[0]: Pose2()}
-        queue = [group[0]]
-        for index in queue:
-            for other, pose in neighbours[index]:
-                if other not in poses:
-                    poses[other] = poses[index] @ pose
-                    queue.append(other)
-        return poses
+        if weighed.georeference is not None:
+            self.georeferences[fragment] = weighed.georeference
 
 
 def lost(frame: Prepared | PoseEstimate, reason: str) -> PoseEstimate:

@@ -10,6 +10,10 @@ import pytest
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link
 from slamcli.stages import posegraph
+from slamcli.stages.posegraph.marginals import diagonal_blocks
+
+STEP = np.diag([0.001, 0.001, 0.002]) ** 2
+LOOP = np.diag([0.003, 0.003, 0.005]) ** 2
 
 
 def link(a: int, b: int, pose: Pose2, sigma: float = 0.01) -> Link:
@@ -58,3 +62,149 @@ def test_covariance_is_carried_along_a_lever() -> None:
         posegraph.compose_covariance(covariance, a_from_b, np.zeros((3, 3))),
         atol=0.05 * np.abs(measured).max(),
     )
+
+
+def lawnmower(count: int, lane_poses: int) -> list[Pose2]:
+    poses = []
+    for index in range(count):
+        lane, along = divmod(index, lane_poses)
+        forward = lane % 2 == 0
+        x = 0.1 * (along if forward else lane_poses - 1 - along)
+        poses.append(Pose2(x, 0.3 * lane, 0.0 if forward else math.pi))
+    return poses
+
+
+def measured(
+    truth: list[Pose2], lane_poses: int, generator: np.random.Generator
+) -> tuple[dict[int, Pose2], list[Link]]:
+    """Steps to the next two poses and loops to the lane before, with the noise that they claim."""
+
+    def noisy(a: int, b: int, covariance: np.ndarray, kind: str) -> Link:
+        error = Pose2(*generator.multivariate_normal(np.zeros(3), covariance))
+        motion = truth[a].inverse() @ truth[b] @ error
+        return Link(a, b, motion, covariance, 30, 0.9, kind)  # type: ignore[arg-type]
+
+    count = len(truth)
+    links = [noisy(i, i + 1, STEP, "step") for i in range(count - 1)]
+    links += [noisy(i, i + 2, STEP, "step") for i in range(count - 2)]
+    for index in range(lane_poses, count, 3):
+        before = index - 1 - 2 * (index % lane_poses)
+        if index - before > 3:
+            links.append(noisy(before, index, LOOP, "loop"))
+    initial = {0: Pose2()}
+    for index in range(count - 1):
+        initial[index + 1] = initial[index] @ links[index].a_from_b
+    return initial, links
+
+
+def false_loops(count: int, number: int, generator: np.random.Generator) -> list[Link]:
+    ends = [sorted(generator.choice(count, 2, replace=False).tolist()) for _ in range(number)]
+    motions = generator.normal(0.0, 0.3, (number, 3))
+    return [
+        Link(a, b, Pose2(*motion), LOOP, 30, 0.9, "loop")
+        for (a, b), motion in zip(ends, motions, strict=True)
+    ]
+
+
+def rmse(solution: posegraph.Solution, truth: list[Pose2]) -> float:
+    errors = [(solution.poses[i].inverse() @ t).translation_length for i, t in enumerate(truth)]
+    return math.sqrt(np.mean(np.square(errors)))
+
+
+def test_false_loops_are_switched_off_and_both_solvers_agree() -> None:
+    generator = np.random.default_rng(5)
+    truth = lawnmower(200, 25)
+    initial, links = measured(truth, 25, generator)
+    loops = sum(link.kind == "loop" for link in links)
+    false = false_loops(len(truth), loops // 4, generator)
+    solutions = []
+    for solver in ("scipy", "gtsam"):
+        clean = posegraph.solve(initial, links, solver=solver)  # type: ignore[arg-type]
+        spoilt = posegraph.solve(initial, links + false, solver=solver)  # type: ignore[arg-type]
+        assert clean.switched_off == ()
+        assert set(spoilt.switched_off) == set(range(len(links), len(links) + len(false)))
+        assert rmse(spoilt, truth) <= 1.2 * rmse(clean, truth)
+        solutions.append(spoilt)
+    for index in range(1, len(truth)):
+        apart = solutions[0].poses[index].inverse() @ solutions[1].poses[index]
+        sigma = math.sqrt(np.trace(solutions[0].covariances[index][:2, :2]))
+        assert apart.translation_length < 0.01 * sigma
+        np.testing.assert_allclose(
+            solutions[0].covariances[index], solutions[1].covariances[index], rtol=0.01, atol=1e-9
+        )
+
+
+def test_the_sigmas_tell_the_truth() -> None:
+    """The normalised error squared averages to its 3 dimensions, over many worlds."""
+    errors = []
+    truth = lawnmower(24, 8)
+    for seed in range(50):
+        initial, links = measured(truth, 8, np.random.default_rng(seed))
+        solution = posegraph.solve(initial, links, solver="scipy")
+        for index in (11, 23):
+            error = truth[index].inverse() @ solution.poses[index]
+            vector = np.array([error.x, error.y, error.theta])
+            errors.append(vector @ np.linalg.solve(solution.covariances[index], vector))
+    # Half as many as counted, as if both of one world were alike.
+    band = 1.96 * math.sqrt(2.0 * 3.0 / (len(errors) / 2))
+    assert abs(np.mean(errors) - 3.0) < band
+
+
+def test_marginals_are_those_of_gtsam() -> None:
+    gtsam = pytest.importorskip("gtsam")
+    truth = lawnmower(40, 8)
+    initial, links = measured(truth, 8, np.random.default_rng(2))
+    solution = posegraph.solve(initial, links)
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    firm = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
+    graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(), firm))
+    for index, pose in solution.poses.items():
+        values.insert(index, gtsam.Pose2(pose.x, pose.y, pose.theta))
+    for one in links:
+        noise = gtsam.noiseModel.Gaussian.Covariance(one.covariance)
+        motion = gtsam.Pose2(one.a_from_b.x, one.a_from_b.y, one.a_from_b.theta)
+        graph.add(gtsam.BetweenFactorPose2(one.a, one.b, motion, noise))
+    marginals = gtsam.Marginals(graph, values)
+    for index, covariance in solution.covariances.items():
+        expected = marginals.marginalCovariance(index)
+        # GTSAM takes residuals for small in its Jacobians.
+        allowed = 1e-3 * float(np.abs(expected).max())
+        np.testing.assert_allclose(covariance, expected, rtol=1e-3, atol=allowed)
+
+
+def test_the_inverse_is_that_of_numpy() -> None:
+    generator = np.random.default_rng(0)
+    sizes = np.array([3, 1, 2] * 20)
+    ends = [0, *np.cumsum(sizes)]
+    size = ends[-1]
+    matrix = np.eye(size)
+    for _ in range(90):
+        chosen = generator.choice(len(sizes), 2, replace=False)
+        places = np.concatenate([np.arange(ends[k], ends[k + 1]) for k in chosen])
+        jacobian = generator.normal(size=(3, len(places)))
+        matrix[np.ix_(places, places)] += jacobian.T @ jacobian
+    rows, columns = np.nonzero(matrix)
+    blocks = diagonal_blocks(rows, columns, matrix[rows, columns], sizes)
+    inverse = np.linalg.inv(matrix)
+    for block, begin, end in zip(blocks, ends[:-1], ends[1:], strict=True):
+        np.testing.assert_allclose(block, inverse[begin:end, begin:end], atol=1e-12)
+
+
+@pytest.mark.parametrize("solver", ["scipy", "gtsam"])
+def test_a_step_that_its_neighbours_contradict_is_switched_off(solver: str) -> None:
+    links = [link(i, i + 1, Pose2(1.0)) for i in range(4)]
+    links += [link(i, i + 2, Pose2(2.0)) for i in range(3)]
+    links[1] = link(1, 2, Pose2(1.3, 0.1, 0.2))
+    initial = {i: Pose2(float(i)) for i in range(5)}
+    solution = posegraph.solve(initial, links, solver=solver)  # type: ignore[arg-type]
+    assert solution.switched_off == (1,)
+    assert solution.poses[4].x == pytest.approx(4.0, abs=1e-6)
+
+
+def test_a_link_without_an_alternative_is_kept() -> None:
+    links = [link(0, 1, Pose2(1.0)), link(1, 2, Pose2(1.0)), link(0, 2, Pose2(2.0))]
+    only = Link(2, 3, Pose2(50.0, 0.0, 2.0), 1e-4 * np.eye(3), 30, 0.9, "loop")
+    initial = {0: Pose2(), 1: Pose2(1.0), 2: Pose2(2.0), 3: Pose2(3.0)}
+    solution = posegraph.solve(initial, [*links, only])
+    assert solution.switched_off == ()
+    assert solution.poses[3].x == pytest.approx(52.0, abs=1e-4)

@@ -118,8 +118,10 @@ def stitch(
     files = telemetry or TelemetryFiles()
     readings = read_telemetry(files, inputs.files)
     exports.check_exports(options.export, inputs.files, has_gps=bool(readings.gps))
+    mapper = Mapper(inputs.calibration, options.mapper, options.telemetry)
+    if not readings.find_time_offset:
+        feed(mapper, readings)
     with output_folder(output, (*PRODUCTS, DEBUG_PRODUCTS), overwrite=overwrite) as staging:
-        mapper = Mapper(inputs.calibration, options.mapper, options.telemetry)
         note = _locate(mapper, inputs, options, readings, staging, progress)
         estimates = mapper.estimates
         area = _write_maps(inputs, estimates, options, staging, progress)
@@ -139,8 +141,6 @@ def _locate(
     progress: Progress,
 ) -> str:
     """First walk: every frame to its pose or its reason; return the clocks' offset if found."""
-    if not readings.find_time_offset:
-        feed(mapper, readings)
     total = len(inputs.files)
     work = partial(_read_and_prepare, mapper)
     for done, prepared in enumerate(ordered(work, inputs.files, options.workers), start=1):
@@ -325,6 +325,8 @@ def _report(
     if time_offset:
         rows.append(("time offset", time_offset))
     rows += [("on Earth", exports.tell(found)) for found in mapper.georeferences.values()]
+    if mapper.senses.datum_degrees is not None and not mapper.georeferences:
+        rows.append(("on Earth", "not known: the way is too short for what the GPS tells"))
     rows += [("lost", f"{e.name}: {e.reason}") for e in estimates if e.status == "lost"]
     rows += [
         ("path length", f"{length:.3f} {unit}"),

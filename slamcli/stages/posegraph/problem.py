@@ -194,6 +194,9 @@ class Problem:
         _add_headings(equations, self.headings, state, used, weights[first + used])
         used = np.flatnonzero(weights[second:])
         _add_places(equations, self.places, state, used, weights[second + used])
+        # What has lost all that tied it must not make the equations singular.
+        anywhere = np.broadcast_to(np.eye(3) / _LOOSE_SIGMA, (count, 3, 3))
+        equations.add([np.arange(3 * count).reshape(-1, 3)], [anywhere], np.zeros((count, 3)))
         held = len(self.anchors)
         firm = np.broadcast_to(np.eye(3) / ANCHOR_SIGMA, (held, 3, 3))
         equations.add(

@@ -1,0 +1,343 @@
+"""The other senses fused with what the frames show, in worlds whose truth is known."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import sys
+import tomllib
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import slamcli
+from slamcli.cli import main
+from slamcli.core.geometry import Pose2, pose_array
+from slamcli.core.records import Link, Prepared
+from slamcli.core.simulation import CameraOptions, DisturbanceOptions, SimulationOptions
+from slamcli.core.telemetry import (
+    CompassReading,
+    GpsReading,
+    OdometryReading,
+    TelemetryOptions,
+)
+from slamcli.fusion import Senses
+from slamcli.graph import Graph
+from slamcli.io.telemetry import write_gps
+from slamcli.io.trajectories import read_trajectory
+from slamcli.stages.geodesy import LocalPlane
+from slamcli.stages.simulate import floors, photograph
+from slamcli.stages.simulate.drive import geodetic_from_local
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+DATUM = (29.6436, -82.3549)
+EARTH_FROM_MAP = Pose2(12.0, -7.0, 0.7)
+RATE_HERTZ = 5.0
+
+
+def winding(count: int, step: float) -> list[Pose2]:
+    poses = [Pose2()]
+    for index in range(count - 1):
+        poses.append(poses[-1] @ Pose2(step, 0.0, 0.35 * step * math.sin(step * index / 3.0)))
+    return poses
+
+
+def drive(
+    truth: list[Pose2],
+    senses: Senses,
+    seed: int,
+    sigma: float,
+    breaks: tuple[int, ...] = (),
+    lost: tuple[int, ...] = (),
+) -> Graph:
+    """Steps with that noise (m, rad); at a break a new map begins, and lost frames show nothing."""
+    generator = np.random.default_rng(seed)
+    graph = Graph(senses)
+    before: int | None = None
+    for index, pose in enumerate(truth):
+        frame = Prepared(index, str(index), index / RATE_HERTZ, None, None, "")
+        if index in lost:
+            graph.lose(frame, "shows nothing")
+            before = None
+        elif before is None or index in breaks:
+            graph.begin_fragment(frame)
+            before = index
+        else:
+            error = Pose2(*generator.normal(0.0, sigma, 3))
+            motion = truth[before].inverse() @ pose @ error
+            covariance = sigma**2 * np.eye(3)
+            graph.place(frame, [Link(before, index, motion, covariance, 50, 0.9, "step")])
+            before = index
+    return graph
+
+
+def feel_gps(
+    senses: Senses,
+    truth: list[Pose2],
+    generator: np.random.Generator,
+    sigma: float,
+    outliers: float = 0.0,
+    lever: Pose2 | None = None,
+) -> None:
+    places = np.array(
+        [(p.x, p.y) for p in (EARTH_FROM_MAP @ t @ (lever or Pose2()) for t in truth)]
+    )
+    places += sigma * generator.standard_normal(places.shape)
+    bad = generator.random(len(truth)) < outliers
+    bearings = generator.uniform(0.0, math.tau, len(truth))
+    places[bad] += 20.0 * np.column_stack([np.cos(bearings), np.sin(bearings)])[bad]
+    for index, place in enumerate(geodetic_from_local(places, DATUM).tolist()):
+        senses.gps(GpsReading(index / RATE_HERTZ, *place, sigma))
+
+
+def feel_compass(
+    senses: Senses, truth: list[Pose2], generator: np.random.Generator, disturbed: slice
+) -> None:
+    headings = EARTH_FROM_MAP.theta + np.array([pose.theta for pose in truth])
+    headings = headings + math.radians(4) + math.radians(3) * generator.standard_normal(len(truth))
+    headings[disturbed] += math.radians(30)
+    for index, heading in enumerate(headings.tolist()):
+        senses.compass(CompassReading(index / RATE_HERTZ, heading, math.radians(3)))
+
+
+def rmse(graph: Graph, truth: list[Pose2]) -> float:
+    """Root mean square distance after the best rigid alignment, metres."""
+    found = pose_array([graph.pose(i) for i in range(len(truth))])[:, :2] @ (1.0, 1j)
+    known = pose_array(truth)[:, :2] @ (1.0, 1j)
+    found, known = found - found.mean(), known - known.mean()
+    turn = np.angle(np.vdot(found, known))
+    return float(np.sqrt(np.mean(np.abs(np.exp(1j * turn) * found - known) ** 2)))
+
+
+def earth_errors(graph: Graph, truth: list[Pose2]) -> np.ndarray:
+    """How far from where they are on Earth the frames of fragment 0 are put, metres."""
+    reference = graph.georeferences[0]
+    places = [reference.east_north_from_map @ graph.pose(i) for i in range(len(truth))]
+    true = pose_array([EARTH_FROM_MAP @ pose for pose in truth])[:, :2]
+    plane = LocalPlane(reference.datum_degrees)
+    known = [plane.east_north(*place) for place in geodetic_from_local(true, DATUM).tolist()]
+    return np.hypot(*(pose_array(places)[:, :2] - known).T)
+
+
+def test_metres_on_earth_are_those_of_the_ellipsoid() -> None:
+    metres = np.array([[0.0, 0.0], [300.0, -200.0], [-800.0, 500.0]])
+    plane = LocalPlane(DATUM)
+    places = geodetic_from_local(metres, DATUM)
+    found = [plane.east_north(*place) for place in places.tolist()]
+    np.testing.assert_allclose(found, metres, atol=0.05)
+    np.testing.assert_allclose(plane.geodetic(found), places, atol=1e-10)
+
+
+def test_gps_and_compass_survive_outliers_and_place_the_map_on_earth() -> None:
+    truth = winding(334, 0.3)
+    for sigma in (0.001, 0.008):
+        generator = np.random.default_rng(7)
+        alone = drive(truth, Senses(), 1, sigma)
+        alone.solve()
+        senses = Senses()
+        fused = drive(truth, senses, 1, sigma)
+        feel_gps(senses, truth, generator, 2.0, outliers=0.1)
+        feel_compass(senses, truth, generator, slice(100, 150))
+        fused.solve()
+        assert rmse(fused, truth) <= 1.1 * rmse(alone, truth)
+        errors = earth_errors(fused, truth)
+        assert math.sqrt(np.mean(errors**2)) < 0.5
+        reference = fused.georeferences[0]
+        assert reference.readings == 334
+        assert 20 <= reference.outliers <= 50
+        sigmas = np.sqrt(np.diag(reference.covariance))
+        away = EARTH_FROM_MAP.theta - reference.east_north_from_map.theta
+        assert abs(away) < 3.0 * sigmas[2]
+    # With steps so poor, vision alone is off by far more.
+    assert rmse(fused, truth) < 0.5 * rmse(alone, truth)
+
+
+def test_the_antenna_is_found_on_the_robot() -> None:
+    # Not on a circle: there a robot whose antenna is ahead looks like one that is ahead itself.
+    truth = [Pose2()]
+    for index in range(150):
+        truth.append(truth[-1] @ Pose2(0.2, 0.0, 0.3 * math.sin(0.15 * index)))
+    lever = Pose2(0.4, -0.25)
+    senses = Senses(TelemetryOptions(lever_arm_metres=None))
+    feel_gps(senses, truth, np.random.default_rng(3), 0.05, lever=lever)
+    graph = drive(truth, senses, 0, 0.001)
+    graph.solve()
+    assert graph.georeferences[0].lever_arm_metres == pytest.approx((0.4, -0.25), abs=0.06)
+
+
+def test_a_compass_alone_holds_the_heading() -> None:
+    truth = winding(300, 0.2)
+    errors = []
+    for fused in (False, True):
+        senses = Senses()
+        if fused:
+            feel_compass(senses, truth, np.random.default_rng(5), slice(0, 0))
+        graph = drive(truth, senses, 4, 0.01)
+        graph.solve()
+        errors.append(rmse(graph, truth))
+        assert not graph.georeferences
+    assert errors[1] < 0.7 * errors[0]
+
+
+def test_odometry_ties_what_lies_on_both_sides_of_a_gap() -> None:
+    truth = winding(60, 0.1)
+    lost = tuple(range(20, 40))
+    apart = drive(truth, Senses(), 0, 0.001, lost=lost)
+    apart.solve()
+    assert {e.fragment for e in apart.estimates if e.map_from_robot} == {0, 1}
+    for fed_before in (True, False):
+        senses = Senses()
+        readings = [
+            OdometryReading(i / RATE_HERTZ, Pose2(5.0, 1.0, 2.0) @ pose)
+            for i, pose in enumerate(truth)
+        ]
+        for reading in readings if fed_before else []:
+            senses.odometry(reading)
+        graph = drive(truth, senses, 0, 0.001, lost=lost)
+        for reading in readings:
+            senses.odometry(reading)
+        if fed_before:
+            assert [graph[i].status for i in lost] == ["predicted"] * 20
+        graph.solve()
+        assert {e.fragment for e in graph.estimates} == {0}
+        assert [graph[i].status for i in lost] == ["predicted"] * 20
+        assert all(graph[i].status == "tracked" for i in range(60) if i not in lost)
+        covariances = [graph[i].covariance for i in (19, 30, 39)]
+        assert all(covariance is not None for covariance in covariances)
+        grown = [float(np.trace(c)) for c in covariances if c is not None]
+        assert grown[0] < grown[1] < grown[2]
+        assert rmse(graph, truth) < 0.02
+
+
+def test_gps_ties_fragments_that_share_nothing() -> None:
+    truth = winding(240, 0.3)
+    senses = Senses()
+    feel_gps(senses, truth, np.random.default_rng(1), 0.5)
+    graph = drive(truth, senses, 0, 0.001, breaks=(120,))
+    graph.solve()
+    assert {e.fragment for e in graph.estimates} == {0}
+    assert rmse(graph, truth) < 0.4
+
+
+def test_a_disturbed_odometry_does_not_move_what_the_frames_show() -> None:
+    truth = winding(60, 0.1)
+    senses = Senses()
+    for index, pose in enumerate(truth):
+        slipped = Pose2(1.5 if index > 30 else 0.0) @ pose
+        senses.odometry(OdometryReading(index / RATE_HERTZ, slipped))
+    graph = drive(truth, senses, 0, 0.001)
+    graph.solve()
+    assert rmse(graph, truth) < 0.02
+
+
+CAMERA = CameraOptions(size=(400, 300), height_metres=0.2, pitch_degrees=45.0)
+
+
+def test_ten_metres_of_blank_floor_are_bridged_by_odometry() -> None:
+    floor = floors.make_floor("asphalt", 0.0, 0.001, seed=3)
+    photographer = photograph.Photographer(photograph.World(floor), photograph.make_camera(CAMERA))
+    along = [0.05 * i for i in range(4)]
+    along += [along[-1] + 0.5 * (i + 1) for i in range(20)]
+    bare = range(4, len(along) - 1)
+    along += [along[-1] + 0.05 * (i + 1) for i in range(4)]
+    truth = [Pose2(x, 0.02 * x * x, 0.04 * x) for x in along]
+    felt = [Pose2()]
+    for before, after in pairwise(truth):
+        step = before.inverse() @ after
+        drift = 0.004 * step.translation_length
+        felt.append(felt[-1] @ Pose2(1.02 * step.x, 1.02 * step.y, step.theta + drift))
+    mapper = slamcli.Mapper(photographer.calibration)
+    streamed = []
+    for index, pose in enumerate(truth):
+        generator = np.random.default_rng(index)
+        noise = 120.0 + 2.0 * generator.standard_normal((300, 400, 3))
+        picture = np.clip(noise, 0, 255).astype(np.uint8)
+        if index not in bare:
+            still = (pose, pose)
+            picture = photograph.take(photographer, still, 0.0, DisturbanceOptions(), generator)
+        mapper.odometry(OdometryReading(0.2 * index, felt[index]))
+        streamed.append(mapper.update(slamcli.Frame(index, str(index), 0.2 * index, picture)))
+    assert {streamed[index].status for index in bare} == {"predicted"}
+    odom = [e.odom_from_robot for e in streamed if e.odom_from_robot is not None]
+    assert len(odom) == len(truth)
+    longest = max((a.inverse() @ b).translation_length for a, b in pairwise(odom))
+    assert longest < 0.6
+    final = mapper.finish()
+    assert {final[index].status for index in bare} == {"predicted"}
+    assert [e.status for e in final[bare.stop :]] == ["tracked"] * (len(final) - bare.stop)
+    for estimate, pose in zip(final[1:], truth[1:], strict=True):
+        assert estimate.fragment == 0
+        assert estimate.map_from_robot is not None
+        assert estimate.covariance is not None
+        error = pose.inverse() @ estimate.map_from_robot
+        sigmas = np.sqrt(np.diag(estimate.covariance)) + 1e-3
+        assert np.all(np.abs([error.x, error.y, error.theta]) < 3.0 * sigmas)
+    assert final[-1].covariance is not None
+    assert math.sqrt(final[-1].covariance[0, 0]) < 0.5
+
+
+@pytest.fixture(scope="module")
+def drive_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from slamcli.run.simulate import simulate
+
+    folder = tmp_path_factory.mktemp("drive") / "drive"
+    turns = [0.3 * math.sin(0.9 * index) for index in range(25)]
+    poses = [Pose2()]
+    for turn in turns:
+        poses.append(poses[-1] @ Pose2(0.045 + 0.1 * abs(turn), 0.0, turn))
+    rows = [f"{pose.x},{pose.y},{pose.theta}" for pose in poses]
+    way = folder.parent / "way.csv"
+    way.write_text("\n".join(["x,y,heading", *rows]) + "\n")
+    options = SimulationOptions(path=str(way), camera=CameraOptions(size=(320, 240)))
+    simulate(folder, options, workers=1, overwrite=False, progress=lambda *_: None)
+    return folder
+
+
+def stitch(folder: Path, output: Path, *options: str) -> str:
+    command = ["stitch", str(folder / "frames"), "-c", str(folder / "camera.yaml")]
+    command += ["-o", str(output), "--frame-rate", "10", *options]
+    result = CliRunner().invoke(main, command)
+    return f"{result.exit_code} {result.output}"
+
+
+def test_stitch_takes_what_the_robot_felt(drive_folder: Path, tmp_path: Path) -> None:
+    # Survey-grade, as the drive is short.
+    truth = read_trajectory(drive_folder / "truth.csv")
+    assert truth.stamps is not None
+    exact = geodetic_from_local(truth.poses[:, :2], DATUM)
+    write_gps(tmp_path / "gps.csv", truth.stamps.tolist(), exact, 0.01)
+    senses = [f"--{name}={drive_folder / name}.csv" for name in ("odometry", "compass")]
+    senses += [f"--gps={tmp_path / 'gps.csv'}", "--time-offset", "auto"]
+    output = tmp_path / "out"
+    told = stitch(drive_folder, output, *senses, "--export", "geojson,links")
+    assert told.startswith("0"), told
+    run = tomllib.loads((output / "run.toml").read_text())
+    assert run["georeference"]["gps_readings"] >= 22
+    assert run["georeference"]["x_axis_degrees_from_east"] == pytest.approx(0.0, abs=3.0)
+    assert run["gps"].endswith("gps.csv")
+    track = json.loads((output / "track.geojson").read_text())
+    longitude, latitude = track["features"][0]["geometry"]["coordinates"][0]
+    assert (latitude, longitude) == pytest.approx(DATUM, abs=3e-7)
+    assert (output / "links.csv").read_text().startswith("a,b,kind")
+    assert "on Earth     origin known to 0.0" in told
+    assert re.search(r"time offset +[+-]0\.0\d\d s", told)
+
+
+def test_stitch_says_what_it_lacks(
+    drive_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refused = stitch(drive_folder, tmp_path / "a", "--export", "geojson")
+    assert refused.startswith("1 Error: --export geojson needs --gps")
+    refused = stitch(drive_folder, tmp_path / "b", "--time-offset", "auto")
+    assert refused.startswith("1 Error: --time-offset auto needs --odometry")
+    assert stitch(drive_folder, tmp_path / "d", "--lever-arm", "1").startswith("2")
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    refused = stitch(drive_folder, tmp_path / "e", f"--gps={drive_folder / 'gps.csv'}")
+    assert "1 Error: GPS needs pyproj: pip install slamcli[geo]" in refused
+    assert not list(tmp_path.iterdir())
