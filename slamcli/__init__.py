@@ -24,6 +24,13 @@ if TYPE_CHECKING:
     )
     from slamcli.core.geometry import Grid, Pose2
     from slamcli.core.records import Calibration, Frame, Link, PoseEstimate
+    from slamcli.core.telemetry import (
+        CompassReading,
+        Georeference,
+        GpsReading,
+        OdometryReading,
+        TelemetryOptions,
+    )
     from slamcli.io.calibrations import load_calibration
     from slamcli.mapper import Mapper
 
@@ -32,38 +39,48 @@ __version__ = "0.1.0"
 _HOMES = {
     "Calibration": "slamcli.core.records",
     "CalibrationError": "slamcli.core.errors",
+    "CompassReading": "slamcli.core.telemetry",
     "FeatureOptions": "slamcli.core.config",
     "Frame": "slamcli.core.records",
     "FrameError": "slamcli.core.errors",
+    "Georeference": "slamcli.core.telemetry",
+    "GpsReading": "slamcli.core.telemetry",
     "Grid": "slamcli.core.geometry",
     "InputError": "slamcli.core.errors",
     "Link": "slamcli.core.records",
     "Mapper": "slamcli.mapper",
     "MapperOptions": "slamcli.core.config",
     "MatchOptions": "slamcli.core.config",
+    "OdometryReading": "slamcli.core.telemetry",
     "OutputError": "slamcli.core.errors",
     "Pose2": "slamcli.core.geometry",
     "PoseEstimate": "slamcli.core.records",
     "SlamcliError": "slamcli.core.errors",
+    "TelemetryOptions": "slamcli.core.telemetry",
     "load_calibration": "slamcli.io.calibrations",
 }
 
 __all__ = [
     "Calibration",
     "CalibrationError",
+    "CompassReading",
     "FeatureOptions",
     "Frame",
     "FrameError",
+    "Georeference",
+    "GpsReading",
     "Grid",
     "InputError",
     "Link",
     "Mapper",
     "MapperOptions",
     "MatchOptions",
+    "OdometryReading",
     "OutputError",
     "Pose2",
     "PoseEstimate",
     "SlamcliError",
+    "TelemetryOptions",
     "__version__",
     "load_calibration",
 ]

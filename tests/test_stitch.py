@@ -99,9 +99,11 @@ def test_a_run_tells_what_it_did(course_map: Path) -> None:
     assert told["counts"] == {
         "frames": 40,
         "placed": 40,
+        "predicted": 0,
         "lost": 0,
         "fragments": 1,
         "links": told["counts"]["links"],
+        "switched_off": 0,
     }
     assert told["options"]["mapper"]["matching"]["model"] == "rigid"
     assert cv2.imread(str(course_map / "trajectory.png")) is not None
