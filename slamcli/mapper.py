@@ -273,6 +273,8 @@ class Mapper:
         motion, covariance = carried
         share = self.options.search_share_of_range * self.calibration.max_range_metres
         radius = share + _SEARCHED_SIGMAS * math.sqrt(covariance[:2, :2].max())
+        if radius > 2.0 * self.calibration.max_range_metres:
+            return None
         return dense.Window(motion, math.radians(self.options.search_angle_degrees), radius)
 
     def _unguided(self, other: Prepared, prepared: Prepared) -> dense.Window | None:

@@ -65,11 +65,11 @@ def build(
 
 
 def first_state(
-    problem: Problem, poses: NDArray[np.float64], lever_arm_metres: tuple[float, float]
+    problem: Problem, poses: NDArray[np.float64], lever_arm: NDArray[np.float64]
 ) -> State:
     """Return first poses with the compass's offset and the datum that most readings agree on."""
     senses = np.zeros(6)
-    senses[4:] = lever_arm_metres
+    senses[4:] = lever_arm
     if len(problem.headings.pose):
         told = poses[problem.headings.pose, 2] + problem.headings.turn
         senses[0] = _middle_angle(problem.headings.heading - told)
