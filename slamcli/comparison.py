@@ -40,7 +40,7 @@ _EQUAL_SHARE = 0.95
 # the rocking is believed when it leaves less than this share unexplained. On a floor of a few lines
 # a line's end may be brought to fit by a tilt as well as by the motion.
 _STEADY_CORRELATION = 0.95
-_ROCKING_SHARE = 0.8
+_ROCKING_SHARE = 0.6
 # A robot may rock so much more than its tilt sigma says, where the pixels ask for it.
 _ROCKING_TIMES = 5.0
 # So many times the inliers that are needed stand in for pixels that look little alike, or that
@@ -51,6 +51,7 @@ _LEAST_DENSE_OVERLAP = 0.2
 # Where so many of the telling patches agree, what disagrees stands on the floor; where features
 # without number agree too, few patches are enough.
 _CONFIRMED = 0.5
+_LEAST_CONFIRMED = 0.35
 _CONFIRMED_BESIDE_FEATURES = 0.2
 # By so much more must views be alike on the coarsest level, whose few pixels agree by chance.
 _COARSE_HANDICAP = 0.2
@@ -175,7 +176,9 @@ def _choose(
     best = fits[0]
     rival = fits[1].evidence / best.evidence if len(fits) > 1 and best.evidence > 0 else 0.0
     doubt = _doubt(best, options)
-    alike = min(_likeness(keyframe, prepared, best), best.agreed.correlation)
+    alike = best.agreed.correlation
+    if math.isnan(best.agreed.confirmed):
+        alike = min(alike, _likeness(keyframe, prepared, best))
     enough = alignment.inlier_count >= _BACKING * options.matching.min_inliers
     backed = enough and by_features is not None and _same(by_features.pose, best.pose, keyframe)
     if not doubt and not backed and not alike >= options.min_dense_score:
@@ -301,14 +304,17 @@ def _judge(
     shown: NDArray[np.float64],
 ) -> _Fit:
     agreed = dense.agreement(keyframe.levels[0], prepared.levels[0], shown)
-    judged = dense.evidence(keyframe.levels[1], prepared.levels[1], pose, shown)
-    return _Fit(pose, covariance, agreed, judged.evidence, judged.correlation, shown)
+    # The floor's own fine texture outweighs, pixel by pixel, what large things that stand on it do.
+    fine = dense.evidence(keyframe.levels[0], prepared.levels[0], pose, shown)
+    middle = dense.evidence(keyframe.levels[1], prepared.levels[1], pose, shown)
+    correlation = max(fine.correlation, middle.correlation)
+    return _Fit(pose, covariance, agreed, fine.evidence, correlation, shown)
 
 
 def _better(fit: _Fit, other: _Fit, *, rocking: bool) -> bool:
     """Return whether a refined fit agrees better; one that bends the floor must do so by far."""
     if not rocking:
-        return fit.agreed.correlation > other.agreed.correlation
+        return fit.evidence > other.evidence
     return 1.0 - fit.correlation < _ROCKING_SHARE * (1.0 - other.correlation)
 
 
@@ -382,6 +388,11 @@ def _doubt(fit: _Fit, options: MapperOptions, confirmed: float = _CONFIRMED) -> 
         return (
             f"the fit leaves an overlap of {fit.agreed.overlap:.0%}; "
             f"at least {options.min_overlap:.0%} is needed"
+        )
+    if fit.agreed.confirmed < _LEAST_CONFIRMED:
+        return (
+            f"only {fit.agreed.confirmed:.0%} of the floor's patches agree with the fit; "
+            f"at least {_LEAST_CONFIRMED:.0%} must"
         )
     if not fit.agreed.correlation >= options.min_score and not fit.agreed.confirmed >= confirmed:
         return (

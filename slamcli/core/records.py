@@ -141,6 +141,8 @@ class DenseLevel:
         Their detail.
     gradients : (N, 2) float64
         Of the detail, per metre.
+    noise_gray : float
+        One standard deviation of the camera's noise in the detail.
     """
 
     pixel_from_metres: NDArray[np.float64]
@@ -152,6 +154,7 @@ class DenseLevel:
     points: NDArray[np.float64]
     values: NDArray[np.float64]
     gradients: NDArray[np.float64]
+    noise_gray: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
