@@ -172,6 +172,8 @@ class Prepared:
         Why the frame could not be used; empty when it could.
     levels : tuple of DenseLevel
         Of the view, from half resolution on.
+    far_levels : tuple of DenseLevel
+        Of a coarser view that reaches farther; empty where the camera sees no farther.
     """
 
     index: int
@@ -181,6 +183,7 @@ class Prepared:
     features: Features | None
     reason: str = ""
     levels: tuple[DenseLevel, ...] = ()
+    far_levels: tuple[DenseLevel, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
