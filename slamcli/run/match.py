@@ -13,6 +13,12 @@ from slamcli.core.errors import InputError, OutputError
 from slamcli.core.geometry import apply_homography, invert
 from slamcli.io.files import refuse_existing, write_image
 from slamcli.run.inputs import open_inputs
+from slamcli.run.networks import (
+    NO_NETWORKS,
+    NetworkFiles,
+    with_match_network,
+    with_point_network,
+)
 from slamcli.run.pairs import (
     AUTO_FRONTS,
     Front,
@@ -56,6 +62,7 @@ class PairOptions:
         None: rigid with a calibration, else similarity, which measures the scale.
     ratio : float or None
         None: as `matching` says with a calibration, else the stricter one for many features.
+    networks : NetworkFiles
     """
 
     features: FeatureOptions
@@ -64,6 +71,7 @@ class PairOptions:
     count: int | None = None
     model: TransformModel | None = None
     ratio: float | None = None
+    networks: NetworkFiles = NO_NETWORKS
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +156,11 @@ def _resolved(options: PairOptions, inputs: Inputs) -> tuple[FeatureOptions, Mat
     plain = inputs.calibration_path is None
     model: TransformModel = options.model or ("similarity" if plain else "rigid")
     ratio = options.ratio or (PLAIN_RATIO if plain else options.matching.ratio)
-    return options.features, replace(options.matching, model=model, ratio=ratio)
+    matching = with_match_network(options.matching, options.networks, options.method)
+    return (
+        with_point_network(options.features, options.networks, options.method),
+        replace(matching, model=model, ratio=ratio),
+    )
 
 
 def _second_from_first(pictures: tuple[Picture, Picture], fit: Fit) -> NDArray[np.float64] | None:
