@@ -39,6 +39,7 @@ def make_features(points, descriptors, sigma=0.001, norm="hamming"):
         np.asarray(descriptors),
         np.ones(len(points), np.float32),
         np.full((len(points), 2), sigma, np.float32),
+        np.ones(len(points), np.float32),
         norm,
     )
 

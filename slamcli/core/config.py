@@ -107,6 +107,9 @@ class MatchOptions:
         Pairs the points in place of the nearest descriptors and the filter.
     max_distance : float or None
         Descriptor distance above which a match is dropped (the thesis's cost filter).
+    max_size_ratio : float or None
+        A point of the floor looks as large in every view of a calibrated camera: a match whose
+        points' sizes differ by more than this factor is dropped.
     threshold : float or None
         A match is an inlier when its residual is below this: metres (pixels without calibration).
         None: `threshold_sigmas` times what the sigmas of both points explain.
@@ -143,6 +146,7 @@ class MatchOptions:
     ratio: float = 0.9
     network: MatchNetwork | None = None
     max_distance: float | None = None
+    max_size_ratio: float | None = None
     threshold: float | None = None
     threshold_sigmas: float = 5.0
     confidence: float = 0.999

@@ -248,6 +248,8 @@ class Features:
         The detector's response: larger is stronger.
     sigmas : (N, 2) float32, metres
         One standard deviation along the line of sight on the floor, and across it.
+    sizes : (N,) float32, metres
+        Diameter of what the descriptor is centred on.
     norm : str
         How descriptors are compared; ``hamming2`` counts pairs of bits (ORB with WTA_K 3 or 4).
     """
@@ -256,6 +258,7 @@ class Features:
     descriptors: NDArray[np.uint8] | NDArray[np.float32]
     scores: NDArray[np.float32]
     sigmas: NDArray[np.float32]
+    sizes: NDArray[np.float32]
     norm: DescriptorNorm = "hamming"
 
     def __len__(self) -> int:

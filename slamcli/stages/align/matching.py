@@ -63,6 +63,9 @@ def match_descriptors(
         keep &= best < options.ratio * second
     if options.max_distance is not None:
         keep &= best <= options.max_distance
+    if options.max_size_ratio is not None:
+        larger = a.sizes / b.sizes[found]
+        keep &= np.maximum(larger, 1.0 / larger) <= options.max_size_ratio
     if options.filter == "cross-check":
         _, back = _nearest(b, a, None if mask is None else np.ascontiguousarray(mask.T))
         keep &= back[found, 0] == np.arange(len(a))

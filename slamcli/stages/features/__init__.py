@@ -83,6 +83,7 @@ def to_features(
         keypoints.descriptors,
         keypoints.responses,
         sigmas.astype(np.float32),
+        keypoints.sizes * np.float32(view.grid.metres_per_pixel),
         keypoints.norm,
     )
 
