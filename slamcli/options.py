@@ -249,6 +249,13 @@ match_details = stacked(
         help="Largest ratio of the best to the second-best distance. "
         f"Default: {_MATCHING.ratio}, on plain pictures 0.8.",
     ),
+    click.option(
+        "--max-size-ratio",
+        type=click.FloatRange(min=1),
+        default=_MATCHING.max_size_ratio,
+        show_default=True,
+        help="Rigid fits: largest ratio of the sizes of two points that match.",
+    ),
     click.option("--max-distance", type=POSITIVE, help="Largest distance of two descriptors."),
     click.option(
         "--threshold",

@@ -1,4 +1,4 @@
-"""ALIKED, DISK and LightGlue from ONNX files: points in their place, and one line for a bad file."""
+"""ALIKED, DISK and LightGlue from ONNX files: points in place, one line for a bad file."""
 
 from __future__ import annotations
 

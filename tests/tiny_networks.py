@@ -34,7 +34,7 @@ def _projections() -> np.ndarray:
 
 
 def write_points(path: Path, method: str) -> Path:
-    """ALIKED's places span -1 to 1 from first to last pixel; DISK's are whole pixels, in a batch."""
+    """ALIKED's places span -1 to 1 from pixel to pixel; DISK's are whole pixels, in a batch."""
     border = np.zeros((SIDE, SIDE))
     border[_RADIUS:-_RADIUS, _RADIUS:-_RADIUS] = 1.0
     batch = [1] if method == "disk" else []

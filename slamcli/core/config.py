@@ -108,8 +108,8 @@ class MatchOptions:
     max_distance : float or None
         Descriptor distance above which a match is dropped (the thesis's cost filter).
     max_size_ratio : float or None
-        A point of the floor looks as large in every view of a calibrated camera: a match whose
-        points' sizes differ by more than this factor is dropped.
+        A point of the floor is as large in every bird's-eye view: a match whose points' sizes
+        differ by more than this factor is dropped. None: the views' scales are not known.
     threshold : float or None
         A match is an inlier when its residual is below this: metres (pixels without calibration).
         None: `threshold_sigmas` times what the sigmas of both points explain.
@@ -146,7 +146,7 @@ class MatchOptions:
     ratio: float = 0.9
     network: MatchNetwork | None = None
     max_distance: float | None = None
-    max_size_ratio: float | None = None
+    max_size_ratio: float | None = 1.4
     threshold: float | None = None
     threshold_sigmas: float = 5.0
     confidence: float = 0.999

@@ -24,12 +24,14 @@ from slamcli.run.pairs import (
     Front,
     birdseye_picture,
     fit_pair,
+    mark_standing,
     plain_picture,
     read_picture,
     search_pair,
 )
 from slamcli.stages import view
 from slamcli.stages.draw.matches import draw_matches
+from slamcli.stages.draw.standing import draw_standing
 from slamcli.stages.draw.surface import draw_surface
 
 if TYPE_CHECKING:
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions, TransformModel
     from slamcli.run.inputs import Inputs
     from slamcli.run.pairs import Fit, Picture
+    from slamcli.stages.dense import Standing
 
 PLAIN_RATIO = 0.8
 DRAWING_SUFFIXES = (".png", ".jpg")
@@ -120,6 +123,8 @@ def match(
     fit = fit_pair(*pictures, _fronts(options, inputs), features, matching)
     if fit.reason and inputs.calibration_path is not None and matching.model == "rigid":
         fit = search_pair(*pictures, fit)
+    if inputs.calibration_path is not None:
+        fit = mark_standing(*pictures, fit)
     facts = _facts(inputs, pictures, fit)
     note = inputs.note if inputs.calibration_path else "no calibration: pixel units"
     lines = [*([note] if note else []), *_lines(facts, fit)]
@@ -157,6 +162,8 @@ def _resolved(options: PairOptions, inputs: Inputs) -> tuple[FeatureOptions, Mat
     model: TransformModel = options.model or ("similarity" if plain else "rigid")
     ratio = options.ratio or (PLAIN_RATIO if plain else options.matching.ratio)
     matching = with_match_network(options.matching, options.networks, options.method)
+    if model != "rigid":
+        matching = replace(matching, max_size_ratio=None)
     return (
         with_point_network(options.features, options.networks, options.method),
         replace(matching, model=model, ratio=ratio),
@@ -204,6 +211,12 @@ def _facts(inputs: Inputs, pictures: tuple[Picture, Picture], fit: Fit) -> dict[
             "overlap": fit.trial.overlap,
             "rival": _number(fit.trial.rival),
         }
+    if fit.standing is not None:
+        facts["standing"] = {
+            "cells": [int(np.count_nonzero(marks.unlike)) for marks in fit.standing],
+            "judged_cells": [int(np.count_nonzero(marks.judged)) for marks in fit.standing],
+            "inliers": _standing_inliers(fit),
+        }
     if matrix is not None and alignment.model in {"rigid", "similarity"}:
         facts["scale"] = math.hypot(matrix[0, 0], matrix[1, 0])
         facts["rotation_degrees"] = math.degrees(math.atan2(matrix[1, 0], matrix[0, 0]))
@@ -219,6 +232,15 @@ def _facts(inputs: Inputs, pictures: tuple[Picture, Picture], fit: Fit) -> dict[
             "sigma_heading_degrees": math.degrees(float(sigmas[2])),
         }
     return facts
+
+
+def _standing_inliers(fit: Fit) -> int:
+    """Return how many inliers lie on what stands, in either view."""
+    assert fit.standing is not None
+    first, second = fit.alignment.matches[fit.alignment.inliers].T
+    marked = fit.standing[0].marks(fit.first.points[first])
+    marked |= fit.standing[1].marks(fit.second.points[second])
+    return int(np.count_nonzero(marked))
 
 
 def _number(value: float) -> float | None:
@@ -253,6 +275,11 @@ def _lines(facts: dict[str, object], fit: Fit) -> list[str]:
             f"{math.degrees(pose.theta):.3f} degrees (sigmas {sigmas[0] * 1000:.2f} mm, "
             f"{sigmas[1] * 1000:.2f} mm, {math.degrees(sigmas[2]):.4f} degrees)"
         )
+    if fit.standing is not None and any(marks.unlike.any() for marks in fit.standing):
+        lines.append(
+            f"something stands on the floor (red in the drawing): {_standing_inliers(fit)} of the "
+            "inliers lie on it"
+        )
     if fit.trial is not None:
         return [
             *lines,
@@ -276,8 +303,8 @@ def _draw(pictures: tuple[Picture, Picture], fit: Fit, lines: list[str]) -> NDAr
     second_pixels = second.view.grid.pixel_from_metres
     matrix = None if fit.reason else fit.alignment.a_from_b
     drawing = draw_matches(
-        _shown(first),
-        _shown(second),
+        _shown(first, None if fit.standing is None else fit.standing[0]),
+        _shown(second, None if fit.standing is None else fit.standing[1]),
         apply_homography(first_pixels, fit.first.points[matches[:, 0]]),
         apply_homography(second_pixels, fit.second.points[matches[:, 1]]),
         fit.alignment.inliers,
@@ -299,6 +326,11 @@ def _widened(picture: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
     return wide
 
 
-def _shown(picture: Picture) -> NDArray[np.uint8]:
+def _shown(picture: Picture, marks: Standing | None) -> NDArray[np.uint8]:
+    """Return a picture in colour, what stands on its floor in red."""
     plain = picture.calibration.unit == "px"
-    return view.to_colour(picture.frame.image if plain else picture.view.image)
+    shown = view.to_colour(picture.frame.image if plain else picture.view.image)
+    if marks is None:
+        return shown
+    cells_from_pixel = marks.cells_from_metres @ picture.view.grid.metres_from_pixel
+    return draw_standing(shown, marks.unlike, cells_from_pixel)

@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 # Side of a cell, in pixels of the finest level.
 _CELL_PIXELS = 8
 # Of the windows that are compared, pixels of their own level.
-_WINDOW_PIXELS = 7
+_WINDOW_PIXELS = 5
 # By so much a window may be moved to agree: what a motion, a calibration or a tilt errs by.
 _SHIFT_PIXELS = 1
 # Windows that vary by less than this in both views show the camera's noise.
 _TELLING_GRAY = 4.0
 # Of what the two windows show, the difference of unlike ones is all, of like ones next to nothing.
-_UNLIKE_SHARE = 0.6
+_UNLIKE_SHARE = 0.25
 # A level serves where the camera's pixels are at most so many of its own.
 _COARSER = 1.5
 
@@ -54,6 +54,14 @@ class Standing:
     cells_from_metres: NDArray[np.float64]
     judged: NDArray[np.bool_]
     unlike: NDArray[np.bool_]
+
+    def marks(self, points: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return which (N, 2) points of the view, metres, lie on an unlike cell."""
+        column, row = np.rint(apply_homography(self.cells_from_metres, points)).astype(np.int64).T
+        rows, columns = self.unlike.shape
+        marked = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
+        marked[marked] = self.unlike[row[marked], column[marked]]
+        return np.asarray(marked)
 
 
 def standing(
@@ -102,8 +110,18 @@ def standing(
         judged[here] = telling[at_row, at_column]
         unlike[here] = judged[here] & (share[at_row, at_column] > _UNLIKE_SHARE)
     return Standing(
-        invert(metres_from_cell), judged.reshape(rows, columns), unlike.reshape(rows, columns)
+        invert(metres_from_cell),
+        judged.reshape(rows, columns),
+        _in_company(unlike.reshape(rows, columns)),
     )
+
+
+def _in_company(unlike: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Leave out cells that no neighbour bears out: a thing is larger than one of them."""
+    around = cv2.boxFilter(
+        unlike.astype(np.uint8), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT
+    )
+    return np.asarray(unlike & (np.asarray(around) > 1))
 
 
 def _resolved(calibration: Calibration, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -128,8 +146,7 @@ def _compare(
     seen = np.asarray(cv2.warpPerspective(b.inside, b_pixel_from_a_pixel, size, flags=flags))
     both = ((seen == 255) & (a.inside == 255)).astype(np.float32)
     first, reach = a.detail * both, _SHIFT_PIXELS
-    framed = cv2.copyMakeBorder(moved * both, *4 * [reach], cv2.BORDER_CONSTANT, value=0)
-    framed = np.asarray(framed)
+    framed = np.pad(moved * both, reach)
     least = np.full(first.shape, np.inf, np.float32)
     height, width = first.shape
     for down in range(2 * reach + 1):
@@ -138,9 +155,13 @@ def _compare(
             energy = _mean(first * first) + _mean(second * second)
             difference = _mean((first - second) ** 2)
             least = np.minimum(least, difference / np.maximum(energy, np.float32(1e-6)))
-    shown = np.maximum(_mean(first * first), _mean((moved * both) ** 2))
+    shown = np.maximum(_variance(first), _variance(moved * both))
     whole = _mean(both) > np.float32(0.999)
     return np.asarray(whole & (shown > _TELLING_GRAY**2)), least
+
+
+def _variance(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(_mean(values * values) - _mean(values) ** 2)
 
 
 def _mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
