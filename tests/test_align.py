@@ -340,3 +340,25 @@ def test_two_motions_that_explain_as_much_are_ambiguous(agreeing):
     points = a.points.copy()
     points[50:] = other.apply(b.points[50:])
     assert align.align(replace(a, points=points), b, MatchOptions()).accepted
+
+
+def test_points_that_look_of_another_size_are_not_paired():
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 2))
+    descriptors = np.random.default_rng(1).integers(0, 256, (40, 32), np.uint8)
+    a = make_features(points, descriptors)
+    sizes = np.where(np.arange(40) % 2, 1.3, 1.5).astype(np.float32)
+    for larger, smaller in ((a, replace(a, sizes=sizes)), (replace(a, sizes=sizes), a)):
+        pairs, _ = align.match_descriptors(larger, smaller, MatchOptions())
+        assert np.array_equal(pairs[:, 0], np.arange(1, 40, 2))
+        free = MatchOptions(max_size_ratio=None)
+        assert len(align.match_descriptors(larger, smaller, free)[0]) == 40
+
+
+def test_a_size_is_in_metres_whatever_the_view_resolves():
+    floor = floor_pictures.asphalt(700)
+    view = floor_pictures.look(floor, Pose2())
+    grid = replace(view.grid, metres_per_pixel=0.01)
+    for options in (FeatureOptions(), FeatureOptions(method="sift")):
+        keypoints = features.detect(view, options)
+        found = features.to_features(replace(view, grid=grid), keypoints, floor_pictures.top_down())
+        assert np.allclose(found.sizes, 0.01 * keypoints.sizes)

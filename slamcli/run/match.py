@@ -24,11 +24,11 @@ from slamcli.run.pairs import (
     Front,
     birdseye_picture,
     fit_pair,
-    mark_standing,
     plain_picture,
     read_picture,
     search_pair,
 )
+from slamcli.run.standing import mark_standing
 from slamcli.stages import view
 from slamcli.stages.draw.matches import draw_matches
 from slamcli.stages.draw.standing import draw_standing
@@ -124,7 +124,7 @@ def match(
     if fit.reason and inputs.calibration_path is not None and matching.model == "rigid":
         fit = search_pair(*pictures, fit)
     if inputs.calibration_path is not None:
-        fit = mark_standing(*pictures, fit)
+        fit = mark_standing(*pictures, fit, matching.min_inliers)
     facts = _facts(inputs, pictures, fit)
     note = inputs.note if inputs.calibration_path else "no calibration: pixel units"
     lines = [*([note] if note else []), *_lines(facts, fit)]
@@ -215,7 +215,7 @@ def _facts(inputs: Inputs, pictures: tuple[Picture, Picture], fit: Fit) -> dict[
         facts["standing"] = {
             "cells": [int(np.count_nonzero(marks.unlike)) for marks in fit.standing],
             "judged_cells": [int(np.count_nonzero(marks.judged)) for marks in fit.standing],
-            "inliers": _standing_inliers(fit),
+            "inliers": fit.standing_inliers,
         }
     if matrix is not None and alignment.model in {"rigid", "similarity"}:
         facts["scale"] = math.hypot(matrix[0, 0], matrix[1, 0])
@@ -232,15 +232,6 @@ def _facts(inputs: Inputs, pictures: tuple[Picture, Picture], fit: Fit) -> dict[
             "sigma_heading_degrees": math.degrees(float(sigmas[2])),
         }
     return facts
-
-
-def _standing_inliers(fit: Fit) -> int:
-    """Return how many inliers lie on what stands, in either view."""
-    assert fit.standing is not None
-    first, second = fit.alignment.matches[fit.alignment.inliers].T
-    marked = fit.standing[0].marks(fit.first.points[first])
-    marked |= fit.standing[1].marks(fit.second.points[second])
-    return int(np.count_nonzero(marked))
 
 
 def _number(value: float) -> float | None:
@@ -277,8 +268,8 @@ def _lines(facts: dict[str, object], fit: Fit) -> list[str]:
         )
     if fit.standing is not None and any(marks.unlike.any() for marks in fit.standing):
         lines.append(
-            f"something stands on the floor (red in the drawing): {_standing_inliers(fit)} of the "
-            "inliers lie on it"
+            "something seems to stand on the floor (red in the drawing); matches on it that would "
+            f"fit: {fit.standing_inliers}"
         )
     if fit.trial is not None:
         return [

@@ -12,7 +12,7 @@ import numpy as np
 from slamcli.comparison import Trial, compare
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError, InputError
-from slamcli.core.geometry import Grid, invert
+from slamcli.core.geometry import Grid
 from slamcli.core.records import Prepared, View
 from slamcli.io.frames import read_frame
 from slamcli.stages import align, camera, confirm, dense, features, view
@@ -26,8 +26,6 @@ LEAST_CORRELATION = 0.4
 # With several fronts to choose from, so few inliers are believed when the pixels agree this well.
 FEWEST_CONFIRMED_INLIERS = 6
 CONFIRMING_CORRELATION = 0.7
-# A tilt that differs between two frames must not pass for something that stands.
-_ROCKING_TIMES = 5.0
 # So many times the inliers that are needed make it idle to try another front.
 _STRONG_FACTOR = 2
 # Enlarging a picture beyond this many pixels costs seconds.
@@ -101,6 +99,8 @@ class Fit:
     standing : (Standing, Standing) or None
         Where something stands on the floor, in either view; None when nothing fits, or in plain
         pictures.
+    standing_inliers : int
+        Of the features' fit: so many lie on it, and were left out where that helped.
     """
 
     front: Front
@@ -111,6 +111,7 @@ class Fit:
     reason: str
     trial: Trial | None = None
     standing: tuple[dense.Standing, dense.Standing] | None = None
+    standing_inliers: int = 0
 
 
 def read_picture(file: FrameFile) -> Frame:
@@ -255,19 +256,3 @@ def search_pair(first: Picture, second: Picture, fit: Fit) -> Fit:
         reason="",
     )
     return replace(fit, alignment=alignment, correlation=trial.link.score, reason="", trial=trial)
-
-
-def mark_standing(first: Picture, second: Picture, fit: Fit) -> Fit:
-    """Return the fit of two bird's-eye views with what stands on their floor."""
-    pose = fit.alignment.pose
-    if fit.reason or pose is None:
-        return fit
-    levels = [dense.make_levels(picture.view) for picture in (first, second)]
-    tilt = math.radians(_ROCKING_TIMES * MapperOptions().tilt_sigma_degrees)
-    refined = dense.refine(levels[0][:2], levels[1][:2], pose, first.calibration, tilt)
-    shown = pose.matrix if refined is None else refined.view_a_from_view_b
-    marks = (
-        dense.standing(levels[0], levels[1], shown, first.calibration),
-        dense.standing(levels[1], levels[0], invert(shown), first.calibration),
-    )
-    return replace(fit, standing=marks)
