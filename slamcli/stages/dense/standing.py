@@ -15,6 +15,7 @@ import numpy as np
 
 from slamcli.core.geometry import apply_homography, invert
 from slamcli.stages import camera
+from slamcli.stages.dense import levels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,8 +30,10 @@ _CELL_PIXELS = 8
 _WINDOW_PIXELS = 5
 # By so much a window may be moved to agree: what a motion, a calibration or a tilt errs by.
 _SHIFT_PIXELS = 1
-# Windows that vary by less than this in both views show the camera's noise.
+# Windows that vary by less than this in both views, or in variance by less than so many times the
+# noise, show the camera's noise.
 _TELLING_GRAY = 4.0
+_TELLING_NOISES = 4.0
 # Of what the two windows show, the difference of unlike ones is all, of like ones next to nothing.
 _UNLIKE_SHARE = 0.25
 # A level serves where the camera's pixels are at most so many of its own.
@@ -148,6 +151,7 @@ def _compare(
     first, reach = a.detail * both, _SHIFT_PIXELS
     framed = np.pad(moved * both, reach)
     least = np.full(first.shape, np.inf, np.float32)
+    left = least.copy()
     height, width = first.shape
     for down in range(2 * reach + 1):
         for right in range(2 * reach + 1):
@@ -155,9 +159,19 @@ def _compare(
             energy = _mean(first * first) + _mean(second * second)
             difference = _mean((first - second) ** 2)
             least = np.minimum(least, difference / np.maximum(energy, np.float32(1e-6)))
-    shown = np.maximum(_variance(first), _variance(moved * both))
+            left = np.minimum(left, difference)
     whole = _mean(both) > np.float32(0.999)
-    return np.asarray(whole & (shown > _TELLING_GRAY**2)), least
+    dark = np.asarray(
+        cv2.warpPerspective(b.image, b_pixel_from_a_pixel, size, flags=flags), np.uint8
+    )
+    raised = _mean(levels.gain(a.image) ** 2), _mean(levels.gain(dark) ** 2)
+    # Most of what both see is floor, where what is left is noise.
+    noise = float(np.median((left / (raised[0] + raised[1]))[whole])) if whole.any() else 0.0
+    telling = np.zeros_like(whole)
+    for shown, times in ((first, raised[0]), (moved * both, raised[1])):
+        least_shown = np.maximum(_TELLING_NOISES * noise * times, np.float32(_TELLING_GRAY**2))
+        telling |= _variance(shown) > least_shown
+    return np.asarray(whole & telling), least
 
 
 def _variance(values: NDArray[np.float32]) -> NDArray[np.float32]:
