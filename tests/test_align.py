@@ -40,6 +40,7 @@ def make_features(points, descriptors, sigma=0.001, norm="hamming"):
         np.ones(len(points), np.float32),
         np.full((len(points), 2), sigma, np.float32),
         np.ones(len(points), np.float32),
+        np.full(len(points), np.nan, np.float32),
         norm,
     )
 
@@ -362,3 +363,44 @@ def test_a_size_is_in_metres_whatever_the_view_resolves():
         keypoints = features.detect(view, options)
         found = features.to_features(replace(view, grid=grid), keypoints, floor_pictures.top_down())
         assert np.allclose(found.sizes, 0.01 * keypoints.sizes)
+
+
+def test_an_inlier_is_turned_as_the_fit_turns():
+    a, b = pairs_under(RIGID.matrix, 60, 0)
+    descriptors = np.random.default_rng(1).integers(0, 256, (60, 32), np.uint8)
+    angles = np.linspace(-3.0, 3.0, 60)
+    second = replace(make_features(b, descriptors), angles=angles.astype(np.float32))
+    # A full turn more, and half of the points turned as no floor was.
+    turned = angles + RIGID.theta - math.tau
+    turned[::2] += 1.0
+    first = replace(make_features(a, descriptors), angles=turned.astype(np.float32))
+    found = align.align(first, second, MatchOptions())
+    assert found.accepted
+    assert np.array_equal(np.flatnonzero(found.inliers), np.arange(1, 60, 2))
+    assert (RIGID.inverse() @ found.pose).translation_length < 0.001
+    chance = replace(first, angles=first.angles + np.float32(1.0))
+    chance.angles[::2] -= 3.0
+    assert not align.align(chance, second, MatchOptions()).accepted
+    unknown = replace(chance, angles=np.full(60, np.nan, np.float32))
+    assert align.align(unknown, second, MatchOptions()).inlier_count == 60
+
+
+def test_angles_turn_with_the_robot():
+    floor = floor_pictures.asphalt(1200)
+    motion = Pose2(12.0, -7.0, 0.6)
+    for method in ("orb", "sift"):
+        options = FeatureOptions(method=method)
+        a, b = (
+            features.extract(floor_pictures.look(floor, pose), floor_pictures.top_down(), options)
+            for pose in (Pose2(), motion)
+        )
+        pairs, _ = align.match_descriptors(a, b, MatchOptions())
+        near = np.hypot(*(a.points[pairs[:, 0]] - motion.apply(b.points[pairs[:, 1]])).T) < 2.0
+        turned = a.angles[pairs[near, 0]] - b.angles[pairs[near, 1]] - motion.theta
+        assert np.mean(np.cos(turned) > math.cos(math.radians(30.0))) > 0.97
+    upright = features.extract(
+        floor_pictures.look(floor, motion),
+        floor_pictures.top_down(),
+        replace(FeatureOptions(), upright=True),
+    )
+    assert np.isnan(upright.angles).all()

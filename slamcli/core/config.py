@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
@@ -110,6 +111,9 @@ class MatchOptions:
     max_size_ratio : float or None
         A point of the floor is as large in every bird's-eye view: a match whose points' sizes
         differ by more than this factor is dropped. None: the views' scales are not known.
+    max_angle_radians : float
+        By so much more or less than a rigid fit or a similarity turns may an inlier's surroundings
+        be turned: true matches are within it but for a few, others by chance.
     threshold : float or None
         A match is an inlier when its residual is below this: metres (pixels without calibration).
         None: `threshold_sigmas` times what the sigmas of both points explain.
@@ -147,6 +151,7 @@ class MatchOptions:
     network: MatchNetwork | None = None
     max_distance: float | None = None
     max_size_ratio: float | None = 1.4
+    max_angle_radians: float = math.radians(30.0)
     threshold: float | None = None
     threshold_sigmas: float = 5.0
     confidence: float = 0.999

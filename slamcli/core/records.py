@@ -209,7 +209,7 @@ class Keypoints:
     sizes : (N,) float32, pixels
         Diameter of what the descriptor is centred on.
     angles : (N,) float32, degrees
-        Clockwise in the picture, in [0, 360).
+        Clockwise in the picture, in [0, 360); nan where the descriptor does not turn.
     responses : (N,) float32
     octaves : (N,) int32
         Pyramid level; 0 is the view itself.
@@ -250,6 +250,9 @@ class Features:
         One standard deviation along the line of sight on the floor, and across it.
     sizes : (N,) float32, metres
         Diameter of what the descriptor is centred on.
+    angles : (N,) float32, radians
+        Which way its surroundings are turned, counter-clockwise from the robot's x; nan where the
+        descriptor does not turn with them.
     norm : str
         How descriptors are compared; ``hamming2`` counts pairs of bits (ORB with WTA_K 3 or 4).
     """
@@ -259,6 +262,7 @@ class Features:
     scores: NDArray[np.float32]
     sigmas: NDArray[np.float32]
     sizes: NDArray[np.float32]
+    angles: NDArray[np.float32]
     norm: DescriptorNorm = "hamming"
 
     def __len__(self) -> int:

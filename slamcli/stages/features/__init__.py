@@ -84,6 +84,8 @@ def to_features(
         keypoints.responses,
         sigmas.astype(np.float32),
         keypoints.sizes * np.float32(view.grid.metres_per_pixel),
+        # The picture's rows run against y.
+        -np.radians(keypoints.angles),
         keypoints.norm,
     )
 

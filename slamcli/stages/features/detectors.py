@@ -57,7 +57,7 @@ def _detect_orb(picture: Picture, options: FeatureOptions) -> Keypoints:
         [_orb_scale(options, octave) for octave in octaves],
         "hamming" if options.wta_k == 2 else "hamming2",
     )
-    return _place_on_levels(corners, picture.gray, options)
+    return _unturned(_place_on_levels(corners, picture.gray, options), options)
 
 
 def _usable_levels(gray: NDArray[np.uint8], options: FeatureOptions) -> int:
@@ -156,7 +156,7 @@ def _detect_sift(picture: Picture, options: FeatureOptions) -> Keypoints:
         _sift_scales(described),
         "l2",
     )
-    return replace(keypoints, sigmas=_SIFT_SIGMA_PIXELS * keypoints.scales)
+    return _unturned(replace(keypoints, sigmas=_SIFT_SIGMA_PIXELS * keypoints.scales), options)
 
 
 def _sift_scales(points: Sequence[cv2.KeyPoint]) -> list[float]:
@@ -181,6 +181,13 @@ def _choose(
     responses = np.array([point.response for point in found], np.float32)
     kept = choose(picture, pixels, responses, np.array(scales), options)
     return [int(index) for index in kept]
+
+
+def _unturned(keypoints: Keypoints, options: FeatureOptions) -> Keypoints:
+    """Return keypoints that tell no angle where none was looked for."""
+    if not options.upright:
+        return keypoints
+    return replace(keypoints, angles=np.full_like(keypoints.angles, np.nan))
 
 
 def _upright(points: Sequence[cv2.KeyPoint]) -> list[cv2.KeyPoint]:

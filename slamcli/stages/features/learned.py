@@ -48,7 +48,7 @@ def detect_learned(picture: Picture, options: FeatureOptions) -> Keypoints:
     return Keypoints(
         pixels=pixels[chosen],
         sizes=np.float32(_SEEN_PIXELS) * scales,
-        angles=np.zeros(len(chosen), np.float32),
+        angles=np.full(len(chosen), np.nan, np.float32),
         responses=found.scores[chosen],
         octaves=np.zeros(len(chosen), np.int32),
         scales=scales,
