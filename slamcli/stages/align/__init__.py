@@ -78,6 +78,8 @@ def align(
         return _nothing(features_a, features_b, matches, options)
     a_from_b, near = consensus.a_from_b, consensus.inliers
     inliers = near & _turned_alike(features_a, features_b, matches, a_from_b, options)
+    if np.count_nonzero(inliers) < model.sample_size:
+        return _nothing(features_a, features_b, matches, options)
     residuals, pose, covariance = consensus.residuals, None, None
     if options.model == "rigid":
         fit = fit_rigid(
