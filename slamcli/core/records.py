@@ -215,7 +215,7 @@ class Keypoints:
     sizes : (N,) float32, pixels
         Diameter of what the descriptor is centred on.
     angles : (N,) float32, degrees
-        Clockwise in the picture, in [0, 360).
+        Clockwise in the picture, in [0, 360); nan where the descriptor does not turn.
     responses : (N,) float32
     octaves : (N,) int32
         Pyramid level; 0 is the view itself.
@@ -254,6 +254,11 @@ class Features:
         The detector's response: larger is stronger.
     sigmas : (N, 2) float32, metres
         One standard deviation along the line of sight on the floor, and across it.
+    sizes : (N,) float32, metres
+        Diameter of what the descriptor is centred on.
+    angles : (N,) float32, radians
+        Which way its surroundings are turned, counter-clockwise from the robot's x; nan where the
+        descriptor does not turn with them.
     norm : str
         How descriptors are compared; ``hamming2`` counts pairs of bits (ORB with WTA_K 3 or 4).
     """
@@ -262,6 +267,8 @@ class Features:
     descriptors: NDArray[np.uint8] | NDArray[np.float32]
     scores: NDArray[np.float32]
     sigmas: NDArray[np.float32]
+    sizes: NDArray[np.float32]
+    angles: NDArray[np.float32]
     norm: DescriptorNorm = "hamming"
 
     def __len__(self) -> int:

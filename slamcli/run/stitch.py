@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -21,6 +21,12 @@ from slamcli.painter import Painter
 from slamcli.run import exports
 from slamcli.run.executor import ordered
 from slamcli.run.inputs import open_inputs
+from slamcli.run.networks import (
+    NO_NETWORKS,
+    NetworkFiles,
+    with_match_network,
+    with_point_network,
+)
 from slamcli.stages import camera, view
 from slamcli.stages.draw.matches import draw_matches
 from slamcli.stages.draw.trajectory import draw_trajectory
@@ -62,6 +68,7 @@ class StitchOptions:
     Attributes
     ----------
     mapper : MapperOptions
+    networks : NetworkFiles
     metres_per_pixel : float or None
         Of the mosaic; None chooses it from the camera's sampling.
     max_range_metres : float or None
@@ -77,6 +84,7 @@ class StitchOptions:
     """
 
     mapper: MapperOptions
+    networks: NetworkFiles = NO_NETWORKS
     metres_per_pixel: float | None = None
     max_range_metres: float | None = None
     frame_rate: float | None = None
@@ -111,8 +119,9 @@ def stitch(
     started = time.monotonic()
     inputs = open_inputs(sources, calibration_path, options.frame_rate, options.max_range_metres)
     exports.check_exports(options.export, inputs.files)
+    mapper_options = _with_networks(options)
     with output_folder(output, (*PRODUCTS, DEBUG_PRODUCTS), overwrite=overwrite) as staging:
-        mapper = Mapper(inputs.calibration, options.mapper)
+        mapper = Mapper(inputs.calibration, mapper_options)
         estimates = _locate(mapper, inputs, options, staging, progress)
         area = _write_maps(inputs, estimates, options, staging, progress)
         write_poses(staging / "poses.csv", estimates)
@@ -120,6 +129,16 @@ def stitch(
         exports.write_exports(staging, options.export, estimates, mapper.links)
         _write_run(staging, inputs, options, estimates, mapper)
     return _report(inputs, estimates, area, seconds, output)
+
+
+def _with_networks(options: StitchOptions) -> MapperOptions:
+    told, files = options.mapper, options.networks
+    method = told.features.method
+    return replace(
+        told,
+        features=with_point_network(told.features, files, method),
+        matching=with_match_network(told.matching, files, method),
+    )
 
 
 def _locate(

@@ -4,6 +4,7 @@ from slamcli.stages.dense.agreement import Agreement, agreement, overlap
 from slamcli.stages.dense.levels import levels_from_half, make_levels
 from slamcli.stages.dense.refinement import Known, Refinement, refine
 from slamcli.stages.dense.search import Candidate, Search, Window, evidence, search
+from slamcli.stages.dense.standing import Standing, standing
 
 __all__ = [
     "Agreement",
@@ -11,6 +12,7 @@ __all__ = [
     "Known",
     "Refinement",
     "Search",
+    "Standing",
     "Window",
     "agreement",
     "evidence",
@@ -19,4 +21,5 @@ __all__ = [
     "overlap",
     "refine",
     "search",
+    "standing",
 ]

@@ -137,6 +137,12 @@ def _detail(
     return detail, np.where(cut, np.uint8(0), eroded).astype(np.uint8)
 
 
+def gain(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return by how much a level's detail raises each pixel's noise: more where it is dark."""
+    middle = np.float32(128.0 + _DARK_GRAY)
+    return np.asarray(middle / (image.astype(np.float32) + np.float32(_DARK_GRAY)))
+
+
 def slopes(
     detail: NDArray[np.float32], metres_per_pixel: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
