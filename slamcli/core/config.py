@@ -35,7 +35,7 @@ class FeatureOptions:
         Move ORB's points, which lie on whole pixels of their pyramid level, to sub-pixel places.
     upright : bool
         Describe ORB's and SIFT's points as the robot sees them, not turned with the texture: more
-        telling while the robot turns by less than some 15 degrees between two frames, blind beyond.
+        telling while the robot turns by less than some 10 degrees between two frames, blind beyond.
     network : PointNetwork or None
         What ALIKED and DISK are.
     scale_factor, levels, edge_threshold, first_level, wta_k, patch_size, fast_threshold
