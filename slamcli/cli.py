@@ -95,6 +95,7 @@ def stitch(
     resolved = StitchOptions(
         mapper=options.mapper_of(told),
         telemetry=options.telemetry_of(told),
+        networks=options.networks_of(told),
         metres_per_pixel=told["metres_per_pixel"],
         max_range_metres=told["max_range"],
         frame_rate=told["frame_rate"],
@@ -162,7 +163,7 @@ def warp(
 @options.frames
 @options.calibration
 @options.output("the drawings and features.csv (default: the folder's name with _features)")
-@click.option("--features", type=click.Choice(["orb", "sift"]), default="orb", show_default=True)
+@click.option("--features", type=click.Choice(options.FEATURES), default="orb", show_default=True)
 @click.option("--count", type=click.IntRange(min=1), default=500, show_default=True)
 @options.feature_details
 @options.workers
@@ -190,7 +191,8 @@ def detect(
             frames,
             calibration,
             output or default_output(frames[0], "features"),
-            FeatureOptions(method=features, **told),
+            options.picked(FeatureOptions, {**told, "method": features}),
+            options.networks_of(told),
             workers=workers or default_workers(),
             overwrite=overwrite,
             progress=progress,
@@ -210,7 +212,7 @@ def detect(
 )
 @click.option(
     "--features",
-    type=click.Choice(["auto", "orb", "sift"]),
+    type=click.Choice(["auto", *options.FEATURES]),
     default="auto",
     show_default=True,
     help="auto tries ORB and SIFT, on the pictures as they are and enlarged, and believes fewer "
@@ -251,6 +253,7 @@ def match(
         count,
         model,
         ratio,
+        options.networks_of(told),
     )
     report = run_match(first, second, calibration, output, resolved, overwrite=overwrite)
     click.echo(report.json if as_json else "\n".join(report.lines))

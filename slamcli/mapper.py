@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from slamcli.comparison import Trial
-    from slamcli.core.records import Calibration, Link, PoseEstimate
+    from slamcli.core.records import Calibration, DenseLevel, Link, PoseEstimate
     from slamcli.core.telemetry import (
         CompassReading,
         Georeference,
@@ -66,6 +66,9 @@ class Mapper:
         )
         self._tilt = math.radians(self.options.tilt_sigma_degrees)
         self._resampler = view.make_view_resampler(calibration, self.metres_per_pixel)
+        self._far_resampler = None
+        if self.options.dense:
+            self._far_resampler = view.make_far_resampler(calibration, self.metres_per_pixel)
         self._graph = Graph(Senses(telemetry))
         self._keyframes: list[Prepared] = []
         self._latest: Prepared | None = None
@@ -145,12 +148,17 @@ class Mapper:
             view.check_view(seen)
             found = features.extract(seen, self.calibration, self.options.features, self._tilt)
             levels = dense.make_levels(seen)
+            far_levels: tuple[DenseLevel, ...] = ()
+            if self._far_resampler is not None:
+                far_levels = dense.make_levels(
+                    view.make_view(frame, self._far_resampler, gray=True)
+                )
         except FrameError as error:
             return Prepared(frame.index, frame.name, frame.stamp, None, None, str(error))
         except (cv2.error, ValueError, TypeError) as error:
             reason = f"cannot be processed: {' '.join(str(error).split())}"
             return Prepared(frame.index, frame.name, frame.stamp, None, None, reason)
-        return Prepared(frame.index, frame.name, frame.stamp, seen, found, "", levels)
+        return Prepared(frame.index, frame.name, frame.stamp, seen, found, "", levels, far_levels)
 
     def step(self, prepared: Prepared) -> PoseEstimate:
         """Place one prepared frame; frames come in order, and an index that came before is refused.

@@ -7,12 +7,15 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from slamcli.core.config import FeatureOptions, MapperOptions, MatchOptions
 from slamcli.core.telemetry import TelemetryOptions
+
+if TYPE_CHECKING:
+    from slamcli.run.networks import NetworkFiles
 
 Options = TypeVar("Options")
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -85,7 +88,37 @@ def picked(kind: type[Options], told: Mapping[str, Any]) -> Options:
 _FEATURES = FeatureOptions()
 _MATCHING = MatchOptions()
 
+FEATURES = ("orb", "sift", "aliked", "disk")
+
+
+class Size(click.ParamType[tuple[int, int]]):
+    """Width and height in pixels, such as 640x480."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int, int]:
+        """Return (width, height); a usage error says what form is wanted."""
+        match = re.fullmatch(r"(\d+)x(\d+)", str(value))
+        if match is None or min(int(match[1]), int(match[2])) < 64:
+            self.fail(f"{value!r} is not of the form 640x480, 64 or more each", param, ctx)
+        return int(match[1]), int(match[2])
+
+
 feature_details = stacked(
+    click.option(
+        "--weights", type=PATH, help="ALIKED, DISK: the network, an ONNX file that you have."
+    ),
+    click.option(
+        "--network-size",
+        type=Size(),
+        help="ALIKED, DISK: pixels that the network takes. Default: 640x640, 1024x1024.",
+    ),
+    click.option(
+        "--upright/--no-upright",
+        default=_FEATURES.upright,
+        help="Describe ORB's and SIFT's points as the robot sees them, for frames that differ "
+        "little in heading, or turned with their surroundings [default].",
+    ),
     click.option(
         "--spread/--no-spread",
         default=_FEATURES.spread,
@@ -196,6 +229,16 @@ feature_details = stacked(
 
 match_details = stacked(
     click.option(
+        "--matcher",
+        type=click.Choice(["nearest", "lightglue"]),
+        default="nearest",
+        show_default=True,
+        help="Pair points by the nearest descriptors, or ALIKED's and DISK's by LightGlue.",
+    ),
+    click.option(
+        "--matcher-weights", type=PATH, help="LightGlue: the network, an ONNX file that you have."
+    ),
+    click.option(
         "--filter",
         type=click.Choice(["ratio", "cross-check"]),
         default=_MATCHING.filter,
@@ -207,6 +250,13 @@ match_details = stacked(
         type=click.FloatRange(0, 1, min_open=True),
         help="Largest ratio of the best to the second-best distance. "
         f"Default: {_MATCHING.ratio}, on plain pictures 0.8.",
+    ),
+    click.option(
+        "--max-size-ratio",
+        type=click.FloatRange(min=1),
+        default=_MATCHING.max_size_ratio,
+        show_default=True,
+        help="Rigid fits: largest ratio of the sizes of two points that match.",
     ),
     click.option("--max-distance", type=POSITIVE, help="Largest distance of two descriptors."),
     click.option(
@@ -247,7 +297,7 @@ mapper_options = stacked(
     click.option(
         "--features",
         "method",
-        type=click.Choice(["orb", "sift"]),
+        type=click.Choice(FEATURES),
         default=_MAPPER.features.method,
         show_default=True,
     ),
@@ -330,6 +380,13 @@ mapper_options = stacked(
         help="Refine each fit on the pixels themselves [default], or leave it to the features.",
     ),
 )
+
+
+def networks_of(told: Mapping[str, Any]) -> NetworkFiles:
+    """Return what the flags say of networks."""
+    from slamcli.run.networks import NetworkFiles
+
+    return picked(NetworkFiles, told)
 
 
 def mapper_of(told: Mapping[str, Any]) -> MapperOptions:
@@ -419,19 +476,6 @@ def telemetry_of(told: Mapping[str, Any]) -> TelemetryOptions:
         lever_arm_metres=told["lever_arm"],
         odometry_distance_share=told["odometry_sigma"],
     )
-
-
-class Size(click.ParamType[tuple[int, int]]):
-    """Width and height in pixels, such as 640x480."""
-
-    name = "WxH"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int, int]:
-        """Return (width, height); a usage error says what form is wanted."""
-        match = re.fullmatch(r"(\d+)x(\d+)", str(value))
-        if match is None or min(int(match[1]), int(match[2])) < 64:
-            self.fail(f"{value!r} is not of the form 640x480, 64 or more each", param, ctx)
-        return int(match[1]), int(match[2])
 
 
 class Choices(click.ParamType[tuple[str, ...]]):

@@ -39,6 +39,8 @@ def make_features(points, descriptors, sigma=0.001, norm="hamming"):
         np.asarray(descriptors),
         np.ones(len(points), np.float32),
         np.full((len(points), 2), sigma, np.float32),
+        np.ones(len(points), np.float32),
+        np.full(len(points), np.nan, np.float32),
         norm,
     )
 
@@ -339,3 +341,66 @@ def test_two_motions_that_explain_as_much_are_ambiguous(agreeing):
     points = a.points.copy()
     points[50:] = other.apply(b.points[50:])
     assert align.align(replace(a, points=points), b, MatchOptions()).accepted
+
+
+def test_points_that_look_of_another_size_are_not_paired():
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 2))
+    descriptors = np.random.default_rng(1).integers(0, 256, (40, 32), np.uint8)
+    a = make_features(points, descriptors)
+    sizes = np.where(np.arange(40) % 2, 1.3, 1.5).astype(np.float32)
+    for larger, smaller in ((a, replace(a, sizes=sizes)), (replace(a, sizes=sizes), a)):
+        pairs, _ = align.match_descriptors(larger, smaller, MatchOptions())
+        assert np.array_equal(pairs[:, 0], np.arange(1, 40, 2))
+        free = MatchOptions(max_size_ratio=None)
+        assert len(align.match_descriptors(larger, smaller, free)[0]) == 40
+
+
+def test_a_size_is_in_metres_whatever_the_view_resolves():
+    floor = floor_pictures.asphalt(700)
+    view = floor_pictures.look(floor, Pose2())
+    grid = replace(view.grid, metres_per_pixel=0.01)
+    for options in (FeatureOptions(), FeatureOptions(method="sift")):
+        keypoints = features.detect(view, options)
+        found = features.to_features(replace(view, grid=grid), keypoints, floor_pictures.top_down())
+        assert np.allclose(found.sizes, 0.01 * keypoints.sizes)
+
+
+def test_an_inlier_is_turned_as_the_fit_turns():
+    a, b = pairs_under(RIGID.matrix, 60, 0)
+    descriptors = np.random.default_rng(1).integers(0, 256, (60, 32), np.uint8)
+    angles = np.linspace(-3.0, 3.0, 60)
+    second = replace(make_features(b, descriptors), angles=angles.astype(np.float32))
+    # A full turn more, and half of the points turned as no floor was.
+    turned = angles + RIGID.theta - math.tau
+    turned[::2] += 1.0
+    first = replace(make_features(a, descriptors), angles=turned.astype(np.float32))
+    found = align.align(first, second, MatchOptions())
+    assert found.accepted
+    assert np.array_equal(np.flatnonzero(found.inliers), np.arange(1, 60, 2))
+    assert (RIGID.inverse() @ found.pose).translation_length < 0.001
+    chance = replace(first, angles=first.angles + np.float32(1.0))
+    chance.angles[::2] -= 3.0
+    assert not align.align(chance, second, MatchOptions()).accepted
+    unknown = replace(chance, angles=np.full(60, np.nan, np.float32))
+    assert align.align(unknown, second, MatchOptions()).inlier_count == 60
+
+
+def test_angles_turn_with_the_robot():
+    floor = floor_pictures.asphalt(1200)
+    motion = Pose2(12.0, -7.0, 0.6)
+    for method in ("orb", "sift"):
+        options = FeatureOptions(method=method)
+        a, b = (
+            features.extract(floor_pictures.look(floor, pose), floor_pictures.top_down(), options)
+            for pose in (Pose2(), motion)
+        )
+        pairs, _ = align.match_descriptors(a, b, MatchOptions())
+        near = np.hypot(*(a.points[pairs[:, 0]] - motion.apply(b.points[pairs[:, 1]])).T) < 2.0
+        turned = a.angles[pairs[near, 0]] - b.angles[pairs[near, 1]] - motion.theta
+        assert np.mean(np.cos(turned) > math.cos(math.radians(30.0))) > 0.97
+    upright = features.extract(
+        floor_pictures.look(floor, motion),
+        floor_pictures.top_down(),
+        replace(FeatureOptions(), upright=True),
+    )
+    assert np.isnan(upright.angles).all()

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from slamcli.core.errors import InputError
 
-FeatureMethod = Literal["orb", "sift"]
+if TYPE_CHECKING:
+    from slamcli.core.networks import MatchNetwork, PointNetwork
+
+FeatureMethod = Literal["orb", "sift", "aliked", "disk"]
 TransformModel = Literal["rigid", "similarity", "affine", "homography"]
 MatchFilter = Literal["ratio", "cross-check"]
 
@@ -29,6 +33,11 @@ class FeatureOptions:
         rigid fit a wide base is worth more than sharp corners side by side.
     refine : bool
         Move ORB's points, which lie on whole pixels of their pyramid level, to sub-pixel places.
+    upright : bool
+        Describe ORB's and SIFT's points as the robot sees them, not turned with the texture: more
+        telling while the robot turns by less than some 10 degrees between two frames, blind beyond.
+    network : PointNetwork or None
+        What ALIKED and DISK are.
     scale_factor, levels, edge_threshold, first_level, wta_k, patch_size, fast_threshold
         ORB's own (Rublee et al., ICCV 2011); edge_threshold and patch_size in pixels.
     min_fast_threshold : int
@@ -51,6 +60,8 @@ class FeatureOptions:
     count: int = 500
     spread: bool = True
     refine: bool = True
+    upright: bool = False
+    network: PointNetwork | None = None
     scale_factor: float = 1.2
     levels: int = 8
     edge_threshold: int = 31
@@ -93,8 +104,16 @@ class MatchOptions:
     ratio : float
         Lowe's: best over second-best distance must be below it. Hundreds of points on a worn
         floor want a milder one than thousands in a photograph.
+    network : MatchNetwork or None
+        Pairs the points in place of the nearest descriptors and the filter.
     max_distance : float or None
         Descriptor distance above which a match is dropped (the thesis's cost filter).
+    max_size_ratio : float or None
+        A point of the floor is as large in every bird's-eye view: a match whose points' sizes
+        differ by more than this factor is dropped. None: the views' scales are not known.
+    max_angle_radians : float
+        By so much more or less than a rigid fit or a similarity turns may an inlier's surroundings
+        be turned: true matches are within it but for a few, others by chance.
     threshold : float or None
         A match is an inlier when its residual is below this: metres (pixels without calibration).
         None: `threshold_sigmas` times what the sigmas of both points explain.
@@ -129,7 +148,10 @@ class MatchOptions:
     model: TransformModel = "rigid"
     filter: MatchFilter = "ratio"
     ratio: float = 0.9
+    network: MatchNetwork | None = None
     max_distance: float | None = None
+    max_size_ratio: float | None = 1.4
+    max_angle_radians: float = math.radians(30.0)
     threshold: float | None = None
     threshold_sigmas: float = 5.0
     confidence: float = 0.999

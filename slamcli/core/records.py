@@ -141,6 +141,8 @@ class DenseLevel:
         Their detail.
     gradients : (N, 2) float64
         Of the detail, per metre.
+    noise_gray : float
+        One standard deviation of the camera's noise in the detail.
     """
 
     pixel_from_metres: NDArray[np.float64]
@@ -152,6 +154,7 @@ class DenseLevel:
     points: NDArray[np.float64]
     values: NDArray[np.float64]
     gradients: NDArray[np.float64]
+    noise_gray: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,6 +172,8 @@ class Prepared:
         Why the frame could not be used; empty when it could.
     levels : tuple of DenseLevel
         Of the view, from half resolution on.
+    far_levels : tuple of DenseLevel
+        Of a coarser view that reaches farther; empty where the camera sees no farther.
     """
 
     index: int
@@ -178,6 +183,7 @@ class Prepared:
     features: Features | None
     reason: str = ""
     levels: tuple[DenseLevel, ...] = ()
+    far_levels: tuple[DenseLevel, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,7 +215,7 @@ class Keypoints:
     sizes : (N,) float32, pixels
         Diameter of what the descriptor is centred on.
     angles : (N,) float32, degrees
-        Clockwise in the picture, in [0, 360).
+        Clockwise in the picture, in [0, 360); nan where the descriptor does not turn.
     responses : (N,) float32
     octaves : (N,) int32
         Pyramid level; 0 is the view itself.
@@ -248,6 +254,11 @@ class Features:
         The detector's response: larger is stronger.
     sigmas : (N, 2) float32, metres
         One standard deviation along the line of sight on the floor, and across it.
+    sizes : (N,) float32, metres
+        Diameter of what the descriptor is centred on.
+    angles : (N,) float32, radians
+        Which way its surroundings are turned, counter-clockwise from the robot's x; nan where the
+        descriptor does not turn with them.
     norm : str
         How descriptors are compared; ``hamming2`` counts pairs of bits (ORB with WTA_K 3 or 4).
     """
@@ -256,6 +267,8 @@ class Features:
     descriptors: NDArray[np.uint8] | NDArray[np.float32]
     scores: NDArray[np.float32]
     sigmas: NDArray[np.float32]
+    sizes: NDArray[np.float32]
+    angles: NDArray[np.float32]
     norm: DescriptorNorm = "hamming"
 
     def __len__(self) -> int:

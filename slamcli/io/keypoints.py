@@ -25,8 +25,8 @@ def write_keypoints(
 
     x and y are the column and the row, in pixels of the picture that was searched (the bird's-eye
     view, with a calibration, and then also the place on the floor in metres, in the robot's
-    frame); size is a diameter in its pixels, angle is in degrees, clockwise; octave is the
-    pyramid level.
+    frame); size is a diameter in its pixels, angle is in degrees, clockwise, nan where the
+    descriptor does not turn; octave is the pyramid level.
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")

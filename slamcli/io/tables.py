@@ -46,4 +46,5 @@ def _literal(value: Scalar) -> str:
         return "true" if value else "false"
     if isinstance(value, (int, float)):
         return repr(value)
-    return json.dumps(value, ensure_ascii=False)
+    # What is no number or word, such as a network, is told by its name.
+    return json.dumps(value, ensure_ascii=False, default=str)

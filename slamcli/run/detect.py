@@ -13,6 +13,7 @@ from slamcli.io.frames import read_frame
 from slamcli.io.keypoints import write_keypoints
 from slamcli.run.executor import ordered
 from slamcli.run.inputs import open_inputs
+from slamcli.run.networks import with_point_network
 from slamcli.run.pairs import plain_picture
 from slamcli.stages import features, view
 from slamcli.stages.draw.keypoints import draw_keypoints
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from slamcli.io.frames import FrameFile
     from slamcli.run.executor import Progress
     from slamcli.run.inputs import Inputs
+    from slamcli.run.networks import NetworkFiles
     from slamcli.stages.view import Resampler
 
 TABLE = "features.csv"
@@ -39,6 +41,7 @@ def detect(
     calibration_path: Path | None,
     output: Path,
     options: FeatureOptions,
+    networks: NetworkFiles,
     *,
     workers: int,
     overwrite: bool,
@@ -55,6 +58,7 @@ def detect(
     stems = [Path(file.name).stem for file in inputs.files]
     if len(set(stems)) < len(stems):
         raise InputError("two frames have the same name; search their folders one at a time")
+    options = with_point_network(options, networks, options.method)
     resampler = _resampler(inputs)
     found: list[tuple[str, Keypoints, Features]] = []
     lines = [inputs.note] if inputs.note else []
@@ -99,9 +103,9 @@ def _search(
             view.check_frame(frame, calibration)
             seen = view.make_view(frame, resampler, gray=True)
             colour = view.make_view(frame, resampler, gray=False).image
+        keypoints = features.detect(seen, options)
     except FrameError as error:
         return f"{file.name}: {error}"
-    keypoints = features.detect(seen, options)
     drawing = draw_keypoints(view.to_colour(colour), keypoints, *_removed(seen, options))
     write_image(staging / f"{Path(file.name).stem}{SUFFIX}", drawing)
     return file.name, keypoints, features.to_features(seen, keypoints, calibration)

@@ -13,6 +13,12 @@ from slamcli.core.errors import InputError, OutputError
 from slamcli.core.geometry import apply_homography, invert
 from slamcli.io.files import refuse_existing, write_image
 from slamcli.run.inputs import open_inputs
+from slamcli.run.networks import (
+    NO_NETWORKS,
+    NetworkFiles,
+    with_match_network,
+    with_point_network,
+)
 from slamcli.run.pairs import (
     AUTO_FRONTS,
     Front,
@@ -22,8 +28,10 @@ from slamcli.run.pairs import (
     read_picture,
     search_pair,
 )
+from slamcli.run.standing import mark_standing
 from slamcli.stages import view
 from slamcli.stages.draw.matches import draw_matches
+from slamcli.stages.draw.standing import draw_standing
 from slamcli.stages.draw.surface import draw_surface
 
 if TYPE_CHECKING:
@@ -34,6 +42,7 @@ if TYPE_CHECKING:
     from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions, TransformModel
     from slamcli.run.inputs import Inputs
     from slamcli.run.pairs import Fit, Picture
+    from slamcli.stages.dense import Standing
 
 PLAIN_RATIO = 0.8
 DRAWING_SUFFIXES = (".png", ".jpg")
@@ -56,6 +65,7 @@ class PairOptions:
         None: rigid with a calibration, else similarity, which measures the scale.
     ratio : float or None
         None: as `matching` says with a calibration, else the stricter one for many features.
+    networks : NetworkFiles
     """
 
     features: FeatureOptions
@@ -64,6 +74,7 @@ class PairOptions:
     count: int | None = None
     model: TransformModel | None = None
     ratio: float | None = None
+    networks: NetworkFiles = NO_NETWORKS
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +123,8 @@ def match(
     fit = fit_pair(*pictures, _fronts(options, inputs), features, matching)
     if fit.reason and inputs.calibration_path is not None and matching.model == "rigid":
         fit = search_pair(*pictures, fit)
+    if inputs.calibration_path is not None:
+        fit = mark_standing(*pictures, fit, matching.min_inliers)
     facts = _facts(inputs, pictures, fit)
     note = inputs.note if inputs.calibration_path else "no calibration: pixel units"
     lines = [*([note] if note else []), *_lines(facts, fit)]
@@ -148,7 +161,13 @@ def _resolved(options: PairOptions, inputs: Inputs) -> tuple[FeatureOptions, Mat
     plain = inputs.calibration_path is None
     model: TransformModel = options.model or ("similarity" if plain else "rigid")
     ratio = options.ratio or (PLAIN_RATIO if plain else options.matching.ratio)
-    return options.features, replace(options.matching, model=model, ratio=ratio)
+    matching = with_match_network(options.matching, options.networks, options.method)
+    if model != "rigid":
+        matching = replace(matching, max_size_ratio=None)
+    return (
+        with_point_network(options.features, options.networks, options.method),
+        replace(matching, model=model, ratio=ratio),
+    )
 
 
 def _second_from_first(pictures: tuple[Picture, Picture], fit: Fit) -> NDArray[np.float64] | None:
@@ -191,6 +210,12 @@ def _facts(inputs: Inputs, pictures: tuple[Picture, Picture], fit: Fit) -> dict[
             "reason": fit.trial.reason,
             "overlap": fit.trial.overlap,
             "rival": _number(fit.trial.rival),
+        }
+    if fit.standing is not None:
+        facts["standing"] = {
+            "cells": [int(np.count_nonzero(marks.unlike)) for marks in fit.standing],
+            "judged_cells": [int(np.count_nonzero(marks.judged)) for marks in fit.standing],
+            "inliers": fit.standing_inliers,
         }
     if matrix is not None and alignment.model in {"rigid", "similarity"}:
         facts["scale"] = math.hypot(matrix[0, 0], matrix[1, 0])
@@ -241,6 +266,11 @@ def _lines(facts: dict[str, object], fit: Fit) -> list[str]:
             f"{math.degrees(pose.theta):.3f} degrees (sigmas {sigmas[0] * 1000:.2f} mm, "
             f"{sigmas[1] * 1000:.2f} mm, {math.degrees(sigmas[2]):.4f} degrees)"
         )
+    if fit.standing is not None and any(marks.unlike.any() for marks in fit.standing):
+        lines.append(
+            "something seems to stand on the floor (red in the drawing); matches on it that would "
+            f"fit: {fit.standing_inliers}"
+        )
     if fit.trial is not None:
         return [
             *lines,
@@ -264,8 +294,8 @@ def _draw(pictures: tuple[Picture, Picture], fit: Fit, lines: list[str]) -> NDAr
     second_pixels = second.view.grid.pixel_from_metres
     matrix = None if fit.reason else fit.alignment.a_from_b
     drawing = draw_matches(
-        _shown(first),
-        _shown(second),
+        _shown(first, None if fit.standing is None else fit.standing[0]),
+        _shown(second, None if fit.standing is None else fit.standing[1]),
         apply_homography(first_pixels, fit.first.points[matches[:, 0]]),
         apply_homography(second_pixels, fit.second.points[matches[:, 1]]),
         fit.alignment.inliers,
@@ -287,6 +317,11 @@ def _widened(picture: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
     return wide
 
 
-def _shown(picture: Picture) -> NDArray[np.uint8]:
+def _shown(picture: Picture, marks: Standing | None) -> NDArray[np.uint8]:
+    """Return a picture in colour, what stands on its floor in red."""
     plain = picture.calibration.unit == "px"
-    return view.to_colour(picture.frame.image if plain else picture.view.image)
+    shown = view.to_colour(picture.frame.image if plain else picture.view.image)
+    if marks is None:
+        return shown
+    cells_from_pixel = marks.cells_from_metres @ picture.view.grid.metres_from_pixel
+    return draw_standing(shown, marks.unlike, cells_from_pixel)

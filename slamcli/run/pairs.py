@@ -96,6 +96,11 @@ class Fit:
         Why it is not believed; empty when it is.
     trial : Trial or None
         What the pixels alone said, when the features did not convince.
+    standing : (Standing, Standing) or None
+        Where something stands on the floor, in either view; None when nothing fits, or in plain
+        pictures.
+    standing_inliers : int
+        Of the features' fit: so many lie on it, and were left out where that helped.
     """
 
     front: Front
@@ -105,6 +110,8 @@ class Fit:
     correlation: float
     reason: str
     trial: Trial | None = None
+    standing: tuple[dense.Standing, dense.Standing] | None = None
+    standing_inliers: int = 0
 
 
 def read_picture(file: FrameFile) -> Frame:

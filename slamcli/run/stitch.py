@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -22,6 +22,12 @@ from slamcli.painter import Painter
 from slamcli.run import exports
 from slamcli.run.executor import ordered
 from slamcli.run.inputs import open_inputs
+from slamcli.run.networks import (
+    NO_NETWORKS,
+    NetworkFiles,
+    with_match_network,
+    with_point_network,
+)
 from slamcli.run.telemetry import Telemetry, TelemetryFiles, feed, feed_shifted, read_telemetry
 from slamcli.stages import camera, view
 from slamcli.stages.draw.matches import draw_matches
@@ -65,6 +71,7 @@ class StitchOptions:
     ----------
     mapper : MapperOptions
     telemetry : TelemetryOptions
+    networks : NetworkFiles
     metres_per_pixel : float or None
         Of the mosaic; None chooses it from the camera's sampling.
     max_range_metres : float or None
@@ -81,6 +88,7 @@ class StitchOptions:
 
     mapper: MapperOptions
     telemetry: TelemetryOptions = field(default_factory=TelemetryOptions)
+    networks: NetworkFiles = NO_NETWORKS
     metres_per_pixel: float | None = None
     max_range_metres: float | None = None
     frame_rate: float | None = None
@@ -118,7 +126,7 @@ def stitch(
     files = telemetry or TelemetryFiles()
     readings = read_telemetry(files, inputs.files)
     exports.check_exports(options.export, inputs.files, has_gps=bool(readings.gps))
-    mapper = Mapper(inputs.calibration, options.mapper, options.telemetry)
+    mapper = Mapper(inputs.calibration, _with_networks(options), options.telemetry)
     if not readings.find_time_offset:
         feed(mapper, readings)
     with output_folder(output, (*PRODUCTS, DEBUG_PRODUCTS), overwrite=overwrite) as staging:
@@ -130,6 +138,16 @@ def stitch(
         exports.write_exports(staging, options.export, mapper)
         _write_run(staging, inputs, options, files, mapper)
     return _report(inputs, mapper, area, seconds, output, note)
+
+
+def _with_networks(options: StitchOptions) -> MapperOptions:
+    told, files = options.mapper, options.networks
+    method = told.features.method
+    return replace(
+        told,
+        features=with_point_network(told.features, files, method),
+        matching=with_match_network(told.matching, files, method),
+    )
 
 
 def _locate(

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid, Pose2
@@ -22,6 +23,11 @@ if TYPE_CHECKING:
 # A view of about a megapixel carries enough points, and warps and detects in milliseconds.
 _REGISTRATION_PIXELS = 1.0e6
 _DEEPEST_LEVEL = 4
+# So much farther than features are of use a line or an edge still tells something; a view that
+# gains less floor than this by it tells no more.
+_FAR_TIMES = 2.2
+_FAR_COARSER = 2.0
+_LEAST_FAR_GAIN = 1.3
 # A picture with less contrast than its own noise shows nothing that could be matched.
 _LEAST_DEVIATION_GRAY = 1.0
 _SATURATED_GRAY = 250
@@ -126,6 +132,18 @@ def make_view_resampler(calibration: Calibration, metres_per_pixel: float) -> Re
     """Prepare the camera's own bird's-eye view, in the robot frame."""
     grid = camera.footprint(calibration, metres_per_pixel)
     return make_resampler(calibration, camera.sharpness_image(calibration), grid, Pose2())
+
+
+def make_far_resampler(calibration: Calibration, metres_per_pixel: float) -> Resampler | None:
+    """Prepare a coarser view that reaches beyond the range, where the floor is seen smeared.
+
+    None where the camera sees little more floor there.
+    """
+    far = replace(calibration, max_range_metres=_FAR_TIMES * calibration.max_range_metres)
+    near_area = ConvexHull(camera.footprint_hull(calibration)).volume
+    if ConvexHull(camera.footprint_hull(far)).volume < _LEAST_FAR_GAIN * near_area:
+        return None
+    return make_view_resampler(far, _FAR_COARSER * metres_per_pixel)
 
 
 def resample(image: NDArray[np.uint8], resampler: Resampler) -> NDArray[np.uint8]:

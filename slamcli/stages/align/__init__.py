@@ -76,7 +76,10 @@ def align(
     )
     if consensus is None:
         return _nothing(features_a, features_b, matches, options)
-    a_from_b, inliers = consensus.a_from_b, consensus.inliers
+    a_from_b, near = consensus.a_from_b, consensus.inliers
+    inliers = near & _turned_alike(features_a, features_b, matches, a_from_b, options)
+    if np.count_nonzero(inliers) < model.sample_size:
+        return _nothing(features_a, features_b, matches, options)
     residuals, pose, covariance = consensus.residuals, None, None
     if options.model == "rigid":
         fit = fit_rigid(
@@ -90,7 +93,8 @@ def align(
             return _nothing(features_a, features_b, matches, options)
         pose, covariance, a_from_b = fit.a_from_b, fit.covariance, fit.a_from_b.matrix
         residuals = residuals_of(a_from_b[None], points_a, points_b, model)[0]
-        inliers = residuals < thresholds
+        near = residuals < thresholds
+        inliers = near & _turned_alike(features_a, features_b, matches, a_from_b, options)
     spread = max(
         _spread(points_a[inliers], features_a.points), _spread(points_b[inliers], features_b.points)
     )
@@ -98,16 +102,35 @@ def align(
         _too_few(inliers, len(features_a), len(features_b), options)
         or _too_loose(residuals, thresholds, inliers, spread, options)
         or _implausible(a_from_b, points_b[inliers], options)
-        or _ambiguous(a_from_b, inliers, points_a, points_b, thresholds, options)
+        or _ambiguous(a_from_b, inliers, ~near, points_a, points_b, thresholds, options)
     )
     return Alignment(
         options.model, a_from_b, pose, covariance, matches, inliers, residuals, spread, reason
     )
 
 
+def _turned_alike(
+    a: Features,
+    b: Features,
+    matches: NDArray[np.int32],
+    a_from_b: NDArray[np.float64],
+    options: MatchOptions,
+) -> NDArray[np.bool_]:
+    """Return (M,): whose surroundings are turned as the transform turns; all, where none is known.
+
+    Affinities and homographies turn each direction differently.
+    """
+    if options.model not in {"rigid", "similarity"}:
+        return np.ones(len(matches), np.bool_)
+    turn = np.arctan2(a_from_b[1, 0], a_from_b[0, 0])
+    odd = a.angles[matches[:, 0]] - b.angles[matches[:, 1]] - turn
+    return np.asarray(~(np.cos(odd) < np.cos(options.max_angle_radians)))
+
+
 def _ambiguous(
     a_from_b: NDArray[np.float64],
     inliers: NDArray[np.bool_],
+    rest: NDArray[np.bool_],
     points_a: NDArray[np.float64],
     points_b: NDArray[np.float64],
     thresholds: NDArray[np.float64],
@@ -118,7 +141,6 @@ def _ambiguous(
     Floors that repeat, and lines that look alike, let another motion explain nearly as many of the
     matches that the best one leaves over.
     """
-    rest = ~inliers
     rival = ransac(
         points_a[rest],
         points_b[rest],

@@ -1,4 +1,4 @@
-"""Which point of one view is which point of the other, by their descriptors alone."""
+"""Which point of one view is which point of the other, by what they look like."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from slamcli.core.config import MatchOptions
+    from slamcli.core.networks import MatchNetwork
     from slamcli.core.records import DescriptorNorm, Features
 
 # Without a radius of the user's, matches this many typical sigmas about a guess are tried.
@@ -30,7 +31,7 @@ def match_descriptors(
     options: MatchOptions,
     guess: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Pair points by brute force.
+    """Pair points by brute force, or by the options' network.
 
     Parameters
     ----------
@@ -51,6 +52,8 @@ def match_descriptors(
     if len(a) == 0 or len(b) == 0:
         return np.empty((0, 2), np.int32), np.empty(0, np.float32)
     mask = None if guess is None else _near_guess(a, b, guess, options)
+    if options.network is not None:
+        return _by_network(a, b, options.network, options.max_distance, mask)
     distances, neighbours = _nearest(a, b, mask)
     best, found = distances[:, 0], neighbours[:, 0]
     keep = found >= 0
@@ -60,12 +63,41 @@ def match_descriptors(
         keep &= best < options.ratio * second
     if options.max_distance is not None:
         keep &= best <= options.max_distance
+    if options.max_size_ratio is not None:
+        larger = a.sizes / b.sizes[found]
+        keep &= np.maximum(larger, 1.0 / larger) <= options.max_size_ratio
     if options.filter == "cross-check":
         _, back = _nearest(b, a, None if mask is None else np.ascontiguousarray(mask.T))
         keep &= back[found, 0] == np.arange(len(a))
     index_a = np.flatnonzero(keep)
     pairs = np.column_stack([index_a, found[index_a]]).astype(np.int32)
     return _unique(pairs, best[index_a])
+
+
+def _by_network(
+    a: Features,
+    b: Features,
+    network: MatchNetwork,
+    max_distance: float | None,
+    mask: NDArray[np.uint8] | None,
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Let a network pair the points; then drop what the mask and the distance do not allow."""
+    everywhere = np.concatenate([a.points, b.points])
+    low, high = everywhere.min(axis=0), everywhere.max(axis=0)
+    # A picture's columns run along x and its rows against y. Without the picture's own extent, all
+    # points' stands in for it; what matters is that both views have one.
+    halves = np.maximum((high - low) / 2, np.finfo(np.float32).eps) * (1.0, -1.0)
+    middle = (low + high) / 2
+    pairs, distances = network.match(
+        ((a.points - middle) / halves).astype(np.float32),
+        ((b.points - middle) / halves).astype(np.float32),
+        a.descriptors.astype(np.float32),
+        b.descriptors.astype(np.float32),
+    )
+    keep = np.ones(len(pairs), np.bool_) if mask is None else mask[pairs[:, 0], pairs[:, 1]] > 0
+    if max_distance is not None:
+        keep &= distances <= max_distance
+    return _unique(pairs[keep], distances[keep])
 
 
 def _nearest(

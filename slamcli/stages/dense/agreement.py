@@ -38,7 +38,8 @@ class Agreement:
         Share of the smaller view's floor that both see.
     confirmed : float
         Share of the overlap's telling patches that agree each by itself, in [0, 1]: where something
-        stands or walks on a floor that is seen well, the others are the floor.
+        stands or walks on a floor that is seen well, the others are the floor. nan where too few
+        patches tell.
     """
 
     correlation: float
@@ -78,7 +79,7 @@ def agreement(a: DenseLevel, b: DenseLevel, view_a_from_view_b: NDArray[np.float
     smaller = int(min(np.count_nonzero(a.mask == 255), np.count_nonzero(b.mask == 255)))
     shared = int(np.count_nonzero(both))
     if shared < _LEAST_SHARED_PIXELS:
-        return Agreement(math.nan, shared / max(1, smaller), 0.0)
+        return Agreement(math.nan, shared / max(1, smaller), math.nan)
     values_a = a.image[both].astype(np.float32)
     values_b = np.asarray(moved)[both].astype(np.float32)
     values_a -= values_a.mean()
@@ -107,7 +108,7 @@ def _confirmed(
     energy_a, energy_b = (patch_a**2).mean(axis=1), (patch_b**2).mean(axis=1)
     telling = np.maximum(energy_a, energy_b) > _TELLING_GRAY**2
     if np.count_nonzero(telling) < _LEAST_PATCHES:
-        return 0.0
+        return math.nan
     product = (patch_a * patch_b).mean(axis=1)
     agree = product > _PATCH_CORRELATION * np.sqrt(energy_a * energy_b)
     return float(np.count_nonzero(agree & telling) / np.count_nonzero(telling))

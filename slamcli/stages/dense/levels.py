@@ -13,6 +13,7 @@ from slamcli.core.records import DenseLevel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from slamcli.core.geometry import Grid
     from slamcli.core.records import View
 
 # From half the view's resolution on, which already resolves hundredths of a pixel, down to where a
@@ -24,6 +25,13 @@ _MOST_TEMPLATE_PIXELS = 15_000
 _HIGH_PASS_PIXELS = 25
 _LEAST_WINDOW_SHARE = 0.7
 _SAMPLE_STEP = 16
+_NOISE_KERNEL = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+# White noise, halved once and smoothed as the detail is, leaves its deviation over 1.57; the median
+# of its size is 0.6745 deviations. Halving it again leaves 0.48 of it.
+_NOISE_FACTOR = 1.57 / 0.6745
+_HALVED_NOISE = 0.48
+# pyrDown keeps even pixels, so a level's pixel is half the one before's.
+_HALVE = np.diag([0.5, 0.5, 1.0])
 # So much is added first, as the noise of the dark would else be all there is to see.
 _DARK_GRAY = 16.0
 # In gray levels at the middle of the range.
@@ -35,37 +43,75 @@ def make_levels(view: View) -> tuple[DenseLevel, ...]:
 
     The last level is small enough to be searched whole.
     """
-    image, mask = view.image, view.mask
-    pixel_from_metres, scale = view.grid.pixel_from_metres, view.grid.metres_per_pixel
-    levels: list[DenseLevel] = []
+    return levels_from_half(_halved(view.image), _halved(view.mask), view.grid)
+
+
+def levels_from_half(
+    image: NDArray[np.uint8], mask: NDArray[np.uint8], grid: Grid
+) -> tuple[DenseLevel, ...]:
+    """Return the pyramid of a view of which only its first level, at half resolution, is kept.
+
+    Parameters
+    ----------
+    image, mask : (h, w) uint8
+    grid : Grid
+        Of the whole view.
+    """
+    pixel_from_metres, metres_per_pixel = (
+        _HALVE @ grid.pixel_from_metres,
+        2.0 * grid.metres_per_pixel,
+    )
+    levels = [_level(image, mask, pixel_from_metres, metres_per_pixel, None)]
     while len(levels) < _MOST_LEVELS and (
         len(levels) < _LEAST_LEVELS or np.count_nonzero(mask == 255) > _MOST_COARSEST_PIXELS
     ):
-        # pyrDown keeps even pixels, so a level's pixel is half the one before's.
-        image = np.asarray(cv2.pyrDown(image), np.uint8)
-        mask = np.asarray(cv2.pyrDown(mask), np.uint8)
-        pixel_from_metres, scale = np.diag([0.5, 0.5, 1.0]) @ pixel_from_metres, 2.0 * scale
-        detail, inside = _detail(image, mask)
-        right, up = slopes(detail, scale)
-        chosen = _most_telling(np.where(inside == 255, right * right + up * up, np.float32(0.0)))
-        rows, columns = np.unravel_index(chosen, detail.shape)
-        points = apply_homography(invert(pixel_from_metres), np.column_stack([columns, rows]))
-        gradients = np.column_stack([right.ravel()[chosen], up.ravel()[chosen]]).astype(np.float64)
-        values = detail.ravel()[chosen].astype(np.float64)
-        levels.append(
-            DenseLevel(
-                pixel_from_metres,
-                scale,
-                image,
-                mask,
-                detail,
-                inside,
-                points,
-                values,
-                gradients,
-            )
-        )
+        image, mask = _halved(image), _halved(mask)
+        pixel_from_metres, metres_per_pixel = _HALVE @ pixel_from_metres, 2.0 * metres_per_pixel
+        noise_gray = _HALVED_NOISE * levels[-1].noise_gray
+        levels.append(_level(image, mask, pixel_from_metres, metres_per_pixel, noise_gray))
     return tuple(levels)
+
+
+def _halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.asarray(cv2.pyrDown(picture), np.uint8)
+
+
+def _level(
+    image: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
+    pixel_from_metres: NDArray[np.float64],
+    metres_per_pixel: float,
+    noise_gray: float | None,
+) -> DenseLevel:
+    detail, inside = _detail(image, mask)
+    right, up = slopes(detail, metres_per_pixel)
+    chosen = _most_telling(np.where(inside == 255, right * right + up * up, np.float32(0.0)))
+    rows, columns = np.unravel_index(chosen, detail.shape)
+    points = apply_homography(invert(pixel_from_metres), np.column_stack([columns, rows]))
+    gradients = np.column_stack([right.ravel()[chosen], up.ravel()[chosen]]).astype(np.float64)
+    values = detail.ravel()[chosen].astype(np.float64)
+    return DenseLevel(
+        pixel_from_metres,
+        metres_per_pixel,
+        image,
+        mask,
+        detail,
+        inside,
+        points,
+        values,
+        gradients,
+        _noise(detail, inside) if noise_gray is None else noise_gray,
+    )
+
+
+def _noise(detail: NDArray[np.float32], inside: NDArray[np.uint8]) -> float:
+    """Return about one standard deviation of the camera's noise in a level's detail.
+
+    The median of what neither planes nor edges leave (Immerkaer, Computer Vision and Image
+    Understanding 64, 1996). Fine texture of the floor passes for noise, and is as strong.
+    """
+    left = np.abs(np.asarray(cv2.filter2D(detail, cv2.CV_32F, _NOISE_KERNEL)))[inside == 255]
+    return _NOISE_FACTOR * float(np.median(left)) if left.size else 0.0
 
 
 def _detail(
@@ -89,6 +135,12 @@ def _detail(
     # Where the border cuts much off the mean's window, another view's mean is another.
     cut = weight < _LEAST_WINDOW_SHARE
     return detail, np.where(cut, np.uint8(0), eroded).astype(np.uint8)
+
+
+def gain(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return by how much a level's detail raises each pixel's noise: more where it is dark."""
+    middle = np.float32(128.0 + _DARK_GRAY)
+    return np.asarray(middle / (image.astype(np.float32) + np.float32(_DARK_GRAY)))
 
 
 def slopes(

@@ -34,8 +34,12 @@ _HUBER_SIGMAS = 1.5
 # the robot went along it, does not: it must not pass for an outlier. Noise is taken to be at least
 # this share of the contrast.
 _LEAST_NOISE_SHARE = 0.2
-_LEAST_INFORMATION = 1e-4
+_LEAST_LEFT_SHARE = 0.03
+_LEAST_INFORMATION = 1e-8
 _CHANCE_SIGMAS = 2.0
+# The stairs of a line's edge in the camera's pixels, and the blocks of a JPEG, move with the camera
+# and not with the floor: such a share of an edge's gradient along it tells nothing.
+_STAIRS = 0.02
 # Neighbouring residuals are not independent: interpolation and blur tie about this many together.
 _CORRELATED_PIXELS = 48.0
 _REMAP_COLUMNS = 256
@@ -64,12 +68,28 @@ class Refinement:
     view_a_from_view_b: NDArray[np.float64]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What is known of a motion beforehand.
+
+    Attributes
+    ----------
+    a_from_b : Pose2
+    covariance : (3, 3) float64
+        Of x, y (m), theta (rad) in b's own axes.
+    """
+
+    a_from_b: Pose2
+    covariance: NDArray[np.float64]
+
+
 def refine(
     levels_a: Sequence[DenseLevel],
     levels_b: Sequence[DenseLevel],
     a_from_b: Pose2,
     calibration: Calibration,
     tilt_sigma_radians: float,
+    known: Known | None = None,
 ) -> Refinement | None:
     """Refine a motion on the pixels of two views; None when they do not determine it.
 
@@ -81,6 +101,8 @@ def refine(
         A start within a few pixels of the truth on the coarsest of them.
     tilt_sigma_radians : float
         By how much the camera's pitch and roll vary from frame to frame.
+    known : Known or None
+        Weighed with what the pixels say.
     """
     sigmas = _mounting_sigmas(calibration, tilt_sigma_radians)
     state = _State(a_from_b, np.zeros(len(sigmas)), np.zeros(len(sigmas)))
@@ -88,7 +110,7 @@ def refine(
     for level_a, level_b in zip(reversed(levels_a), reversed(levels_b), strict=True):
         if len(level_a.points) < _LEAST_TEMPLATE_PIXELS:
             return None
-        refined = _refine_level(level_a, level_b, state, calibration, sigmas)
+        refined = _refine_level(level_a, level_b, state, calibration, sigmas, known)
         if refined is None:
             return None
         state, covariance = refined
@@ -153,11 +175,14 @@ def _refine_level(
     state: _State,
     calibration: Calibration,
     sigmas: NDArray[np.float64],
+    known: Known | None,
 ) -> tuple[_State, NDArray[np.float64]] | None:
     """Return the state refined on one level, and the covariance (3, 3) of its motion."""
     count = len(sigmas)
     shifts_a = _shifts(calibration, a.points, sigmas)
-    prior = np.concatenate([np.zeros(5), np.ones(2 * count)])
+    prior = np.diag(np.concatenate([np.zeros(5), np.ones(2 * count)]))
+    if known is not None:
+        prior[:3, :3] = invert(known.covariance)
     for _ in range(_MOST_ITERATIONS):
         floor_a = apply_homography(
             invert(_shown_from_floor(calibration, state.mounting_a)), a.points
@@ -180,10 +205,9 @@ def _refine_level(
             jacobian[:, 5 : 5 + count] = -np.einsum("ni,nik->nk", a.gradients[seen], shifts_a[seen])
             jacobian[:, 5 + count :] = np.einsum("ni,nik->nk", gradients, shifts_b)
         residual = _sample(b.detail, pixels) - values
-        held = np.zeros(5 + 2 * count)
-        if count:
-            held[5:] = np.concatenate([state.mounting_a / sigmas, state.mounting_b / sigmas])
-        solved = _solve(jacobian, residual, prior, held, _LEAST_NOISE_SHARE * float(values.std()))
+        off = _off_prior(state, sigmas, known)
+        contrast = float(values.std())
+        solved = _solve(jacobian, residual, prior, off, _LEAST_NOISE_SHARE * contrast)
         if solved is None:
             return None
         step, weight = solved
@@ -196,8 +220,26 @@ def _refine_level(
         moved = math.hypot(step[0], step[1]) + abs(step[2]) * reach
         if moved < _CONVERGED_PIXELS * b.metres_per_pixel:
             break
-    solved_again = _covariance(b, jacobian, pixels, points, weight, prior)
-    return None if solved_again is None else (state, solved_again)
+    # What is left over tells how well the motion is known; the least noise is for outliers alone.
+    share = weight / weight.max()
+    left = math.sqrt(float(np.sum(share * residual**2) / np.sum(share)))
+    noise = max(left, _LEAST_LEFT_SHARE * contrast, 1e-6)
+    weight = share / (noise**2 * _CORRELATED_PIXELS)
+    covariance = _covariance(b, jacobian, pixels, points, weight, prior)
+    return None if covariance is None else (state, covariance)
+
+
+def _off_prior(
+    state: _State, sigmas: NDArray[np.float64], known: Known | None
+) -> NDArray[np.float64]:
+    """Return (5 + 2 n,): by how much a state is off what is known beforehand."""
+    off = np.zeros(5 + 2 * len(sigmas))
+    if known is not None:
+        apart = known.a_from_b.inverse() @ state.a_from_b
+        off[:3] = apart.x, apart.y, apart.theta
+    if len(sigmas):
+        off[5:] = np.concatenate([state.mounting_a / sigmas, state.mounting_b / sigmas])
+    return off
 
 
 def _covariance(
@@ -223,16 +265,23 @@ def _covariance(
     middle = points.mean(axis=0)
     central[:2, 2] = middle[1], -middle[0]
     first, second = jacobian @ central, both @ central
-    information = first.T @ (second * weight[:, None])
-    information = (information + information.T) / 2.0 + np.diag(prior)
+    shared = first.T @ (second * weight[:, None])
+    unshared = (first - second).T @ ((first - second) * weight[:, None]) / 2.0
     scale = 1.0 / np.sqrt(np.maximum(np.sum(first**2 * weight[:, None], axis=0), 1e-12))
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    scales = np.outer(scale, scale)
+    values, vectors = np.linalg.eigh((shared + shared.T) / 2.0 * scales)
     if not np.isfinite(values).all():
         return None
-    # By chance alone the products of noise add up to this.
-    chance = _CHANCE_SIGMAS / math.sqrt(len(points))
-    values = np.maximum(values - chance, _LEAST_INFORMATION)
-    covariance = (vectors / values) @ vectors.T * np.outer(scale, scale)
+    # The products of the two views' noise, and of either's with what both show, add up by chance
+    # to this; along a direction of which the views show nothing that is all there is.
+    noise = np.einsum("ki,kl,li->i", vectors, unshared * scales, vectors)
+    chance = np.sqrt((2.0 * np.maximum(values, 0.0) * noise + noise**2) / len(points))
+    chance = np.maximum(_CHANCE_SIGMAS * chance, _STAIRS)
+    seen = (vectors * np.maximum(values - chance, 0.0)) @ vectors.T
+    information = (
+        seen + central.T @ prior @ central * scales + _LEAST_INFORMATION * np.eye(len(seen))
+    )
+    covariance = invert(information) * scales
     return np.asarray((central @ covariance @ central.T)[:3, :3], np.float64)
 
 
@@ -240,7 +289,7 @@ def _solve(
     jacobian: NDArray[np.float64],
     residual: NDArray[np.float64],
     prior: NDArray[np.float64],
-    held: NDArray[np.float64],
+    off: NDArray[np.float64],
     least_noise: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Return one robust Gauss-Newton step (K,) and the weight (N,) of each residual.
@@ -249,10 +298,10 @@ def _solve(
     ----------
     jacobian : (N, K) float64
     residual : (N,) float64
-    prior : (K,) float64
-        Information of what is held near zero.
-    held : (K,) float64
-        Where that stands.
+    prior : (K, K) float64
+        Information of what is known beforehand.
+    off : (K,) float64
+        By how much the state is off that.
     least_noise : float
         Of a residual, one standard deviation.
     """
@@ -261,9 +310,9 @@ def _solve(
     weight = np.minimum(1.0, _HUBER_SIGMAS * noise / np.maximum(np.abs(residual), 1e-12))
     weight /= noise**2 * _CORRELATED_PIXELS
     weighted = jacobian * weight[:, None]
-    information = jacobian.T @ weighted + np.diag(prior)
+    information = jacobian.T @ weighted + prior
     try:
-        step = -np.linalg.solve(information, weighted.T @ residual + prior * held)
+        step = -np.linalg.solve(information, weighted.T @ residual + prior @ off)
     except np.linalg.LinAlgError:
         return None
     if not np.isfinite(step).all():

@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 
 _STEP_RADIANS = math.radians(4.0)
 _CONTRAST_PIXELS = 5.0
-# What is flatter than this is noise; its contrast is not to be raised to that of a line.
-_NOISE_GRAY = 1.0
-_NOISE_SHARE = 0.3
+# What is flatter than this is noise; its contrast is not to be raised to that of a line. It is not
+# measured by the picture's own contrast, which may be that of a dark thing on a pale floor.
+_LEAST_CONTRAST_GRAY = 1.0
+_NOISE_TIMES = 3.0
 # An overlap in which hardly anything is to be seen correlates by chance: this share of the whole
 # picture's contrast is added to each overlap's.
 _SEARCH_CONTRAST_PRIOR = 0.1
@@ -189,8 +190,7 @@ def _normalised(level: DenseLevel) -> tuple[NDArray[np.float32], NDArray[np.floa
     side = (0, 0)
     near = np.maximum(cv2.GaussianBlur(weight, side, _CONTRAST_PIXELS), np.float32(1e-3))
     variance = cv2.GaussianBlur(detail * detail, side, _CONTRAST_PIXELS) / near
-    overall = math.sqrt(_energy(detail, weight))
-    floor = np.float32((_NOISE_GRAY + _NOISE_SHARE * overall) ** 2)
+    floor = np.float32((_LEAST_CONTRAST_GRAY + _NOISE_TIMES * level.noise_gray) ** 2)
     return np.asarray(detail / np.sqrt(variance + floor), np.float32), weight
 
 

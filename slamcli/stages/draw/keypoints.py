@@ -53,11 +53,13 @@ def draw_keypoints(
         radius = max(2.0, float(size) / 2.0)
         # A descriptor's patch hides its neighbours; a quarter of it still tells scales apart.
         radius = max(2.0, radius / 4.0) if keypoints.norm != "l2" else radius
+        centre = _fixed_point(pixel)
+        cv2.circle(canvas, centre, round(radius * 2**_SHIFT), colour, 1, cv2.LINE_AA, _SHIFT)
+        if math.isnan(angle):
+            continue
         end = pixel + radius * np.array(
             [math.cos(math.radians(angle)), math.sin(math.radians(angle))]
         )
-        centre = _fixed_point(pixel)
-        cv2.circle(canvas, centre, round(radius * 2**_SHIFT), colour, 1, cv2.LINE_AA, _SHIFT)
         cv2.line(canvas, centre, _fixed_point(end), colour, 1, cv2.LINE_AA, _SHIFT)
     text = f"{len(keypoints)} points, fine green to coarse violet"
     text += f"; blue: cleaned away ({cleaned.mean():.0%})" if cleaned.any() else ""

@@ -1,4 +1,4 @@
-"""Points of the floor that can be found again: ORB or SIFT on the bird's-eye view, in metres.
+"""Points of the floor that can be found again, on the bird's-eye view, in metres.
 
 ORB: Rublee et al., ICCV 2011. SIFT: Lowe, IJCV 60, 2004. The low-pass with a threshold
 (``clean_image``) and the region of interest are those of the 2015 thesis.
@@ -14,7 +14,8 @@ import numpy as np
 from slamcli.core.geometry import apply_homography
 from slamcli.core.records import Features
 from slamcli.stages import camera
-from slamcli.stages.features.detectors import CLEARANCE_STEP, METHODS, Picture
+from slamcli.stages.features.detectors import METHODS
+from slamcli.stages.features.selection import CLEARANCE_STEP, Picture
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -82,6 +83,9 @@ def to_features(
         keypoints.descriptors,
         keypoints.responses,
         sigmas.astype(np.float32),
+        keypoints.sizes * np.float32(view.grid.metres_per_pixel),
+        # The picture's rows run against y.
+        -np.radians(keypoints.angles),
         keypoints.norm,
     )
 

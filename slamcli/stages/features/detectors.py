@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
 
-from slamcli.core.geometry import Grid, apply_homography
+from slamcli.core.geometry import apply_homography
 from slamcli.core.records import Keypoints
 from slamcli.stages.features import subpixel
+from slamcli.stages.features.learned import detect_learned
+from slamcli.stages.features.selection import choose, pixel_from_level
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -19,16 +21,13 @@ if TYPE_CHECKING:
 
     from slamcli.core.config import FeatureMethod, FeatureOptions
     from slamcli.core.records import DescriptorNorm
+    from slamcli.stages.features.selection import Picture
 
-# Pixels to the side of one value of Picture.clearance.
-CLEARANCE_STEP = 4
 # Spreading picks among this many times the points asked for: a painted line must not use them all
 # up. ORB finds them at little extra cost.
 _ORB_SURPLUS = 12
 # SIFT describes what it finds at once, which costs; its points crowd less.
 _SIFT_SURPLUS = 4
-# Enough that a cell of sharp paint gives more than one of dull floor, which matches worse.
-_POINTS_PER_CELL = 16
 # One sigma in pixels of the level a point was found on, by the residuals of true matches on
 # asphalt-like noise.
 _REFINED_SIGMA_PIXELS = 0.25
@@ -36,26 +35,6 @@ _CORNER_SIGMA_PIXELS = 0.5
 _SIFT_SIGMA_PIXELS = 0.2
 _ORB_DESCRIPTOR_BYTES = 32
 _SIFT_DIMENSIONS = 128
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """What a detector is shown of a view.
-
-    Attributes
-    ----------
-    gray : (h, w) uint8
-        Cleaned, if so asked.
-    allowed : (h, w) uint8
-        255 where a point may lie.
-    clearance : (h / 4, w / 4) float32 or None
-        Pixels to the nearest that was not seen, one value for `CLEARANCE_STEP` pixels each way;
-        None without a region of interest.
-    """
-
-    gray: NDArray[np.uint8]
-    allowed: NDArray[np.uint8]
-    clearance: NDArray[np.float32] | None
 
 
 def _detect_orb(picture: Picture, options: FeatureOptions) -> Keypoints:
@@ -67,6 +46,8 @@ def _detect_orb(picture: Picture, options: FeatureOptions) -> Keypoints:
         found = orb.detect(picture.gray, picture.allowed)
     scales = [_orb_scale(options, point.octave) for point in found]
     chosen = [found[index] for index in _choose(picture, found, scales, options)]
+    if options.upright:
+        chosen = _upright(chosen)
     described, descriptors = orb.compute(picture.gray, chosen)
     octaves = [point.octave for point in described]
     corners = _keypoints(
@@ -76,7 +57,7 @@ def _detect_orb(picture: Picture, options: FeatureOptions) -> Keypoints:
         [_orb_scale(options, octave) for octave in octaves],
         "hamming" if options.wta_k == 2 else "hamming2",
     )
-    return _place_on_levels(corners, picture.gray, options)
+    return _unturned(_place_on_levels(corners, picture.gray, options), options)
 
 
 def _usable_levels(gray: NDArray[np.uint8], options: FeatureOptions) -> int:
@@ -134,7 +115,7 @@ def _place_on_levels(
         if options.refine:
             places, found = subpixel.refine(level_image, corners[here])
         sigmas[here] = np.where(found, _REFINED_SIGMA_PIXELS, _CORNER_SIGMA_PIXELS) * scale
-        pixels[here] = apply_homography(_pixel_from_level(gray.shape, level_image.shape), places)
+        pixels[here] = apply_homography(pixel_from_level(gray.shape, level_image.shape), places)
     return replace(keypoints, pixels=pixels, sigmas=sigmas)
 
 
@@ -148,19 +129,6 @@ def _shrink(
     return np.asarray(resized, dtype=np.uint8)
 
 
-def _pixel_from_level(
-    full_shape: tuple[int, ...], level_shape: tuple[int, ...]
-) -> NDArray[np.float64]:
-    """(3, 3): pixel of a pyramid level to pixel of the picture; their outer corners coincide."""
-    fine = Grid(0.0, 0.0, 1.0, 1, 1)
-    across, down = (
-        fine.pixel_from_metres
-        @ Grid(0.0, 0.0, full_shape[axis] / level_shape[axis], 1, 1).metres_from_pixel
-        for axis in (1, 0)
-    )
-    return np.array([across[0], down[1], [0.0, 0.0, 1.0]])
-
-
 def _detect_sift(picture: Picture, options: FeatureOptions) -> Keypoints:
     sift = cv2.SIFT.create(
         nfeatures=options.count * (_SIFT_SURPLUS if options.spread else 1),
@@ -168,21 +136,32 @@ def _detect_sift(picture: Picture, options: FeatureOptions) -> Keypoints:
         # Without it, doubling the picture shifts every point by a quarter of a pixel.
         enable_precise_upscale=True,
     )
-    # One call for both: describing the surplus too costs less than a second scale space.
-    found, all_descriptors = sift.detectAndCompute(picture.gray, picture.allowed)
-    scales = [2.0 ** _sift_octave(point) for point in found]
-    chosen = _choose(picture, found, scales, options)
-    points = [found[index] for index in chosen]
-    described = np.asarray(all_descriptors if found else [], np.float32)
-    octaves = [_sift_octave(point) for point in points]
+    described: Sequence[cv2.KeyPoint]
+    if options.upright:
+        upright = _upright(sift.detect(picture.gray, picture.allowed))
+        chosen = _choose(picture, upright, _sift_scales(upright), options)
+        described, computed = sift.compute(picture.gray, [upright[index] for index in chosen])
+        descriptors = np.asarray(computed if described else [], np.float32)
+    else:
+        # One call for both: describing the surplus too costs less than a second scale space.
+        found, computed = sift.detectAndCompute(picture.gray, picture.allowed)
+        chosen = _choose(picture, found, _sift_scales(found), options)
+        described = [found[index] for index in chosen]
+        descriptors = np.asarray(computed if found else [], np.float32)
+        descriptors = descriptors.reshape(-1, _SIFT_DIMENSIONS)[chosen]
     keypoints = _keypoints(
-        points,
-        described.reshape(-1, _SIFT_DIMENSIONS)[chosen],
-        octaves,
-        [2.0**octave for octave in octaves],
+        described,
+        descriptors.reshape(-1, _SIFT_DIMENSIONS),
+        [_sift_octave(point) for point in described],
+        _sift_scales(described),
         "l2",
     )
-    return replace(keypoints, sigmas=_SIFT_SIGMA_PIXELS * keypoints.scales)
+    return _unturned(replace(keypoints, sigmas=_SIFT_SIGMA_PIXELS * keypoints.scales), options)
+
+
+def _sift_scales(points: Sequence[cv2.KeyPoint]) -> list[float]:
+    """Return how many pixels of the picture one pixel of each point's octave spans."""
+    return [2.0 ** _sift_octave(point) for point in points]
 
 
 def _sift_octave(point: cv2.KeyPoint) -> int:
@@ -191,53 +170,37 @@ def _sift_octave(point: cv2.KeyPoint) -> int:
     return octave - 256 if octave > 127 else octave
 
 
-METHODS: Final[dict[FeatureMethod, Callable[[Picture, FeatureOptions], Keypoints]]] = {
-    "orb": _detect_orb,
-    "sift": _detect_sift,
-}
-
-
 def _choose(
     picture: Picture,
     found: Sequence[cv2.KeyPoint],
     scales: Sequence[float],
     options: FeatureOptions,
 ) -> list[int]:
-    """Return which points to keep: patches wholly on seen floor, strong, spread if so asked."""
-    if not found:
-        return []
-    pixels = np.array([point.pt for point in found])
-    responses = np.array([point.response for point in found])
-    keep = np.arange(len(found))
-    if picture.clearance is not None:
-        column, row = np.rint(pixels).astype(np.int64).T // CLEARANCE_STEP
-        rows, columns = picture.clearance.shape
-        clearance = picture.clearance[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
-        keep = np.flatnonzero(clearance > options.roi_border_pixels * np.maximum(scales, 1.0))
-    if len(keep) > options.count:
-        if options.spread:
-            area = float(np.count_nonzero(picture.allowed))
-            cell = np.sqrt(_POINTS_PER_CELL * area / options.count)
-            order = _spread_order(pixels[keep], responses[keep], max(cell, 1.0))
-        else:
-            order = np.argsort(-responses[keep], kind="stable")
-        keep = np.sort(keep[order[: options.count]])
-    return [int(index) for index in keep]
+    """Return which of OpenCV's points to keep."""
+    pixels = np.array([point.pt for point in found]).reshape(-1, 2)
+    responses = np.array([point.response for point in found], np.float32)
+    kept = choose(picture, pixels, responses, np.array(scales), options)
+    return [int(index) for index in kept]
 
 
-def _spread_order(
-    pixels: NDArray[np.float64], responses: NDArray[np.float64], cell_pixels: float
-) -> NDArray[np.int64]:
-    """Order points so that any first few are spread: each cell's strongest, then its second ..."""
-    column, row = np.floor(pixels / cell_pixels).astype(np.int64).T
-    cell = row * (column.max() + 1) + column
-    by_cell = np.lexsort((-responses, cell))
-    cell = cell[by_cell]
-    starts = np.flatnonzero(np.r_[True, cell[1:] != cell[:-1]])
-    rank = np.empty(len(cell), dtype=np.int64)
-    lengths = np.diff(np.r_[starts, len(cell)])
-    rank[by_cell] = np.arange(len(cell)) - np.repeat(starts, lengths)
-    return np.lexsort((-responses, rank))
+def _unturned(keypoints: Keypoints, options: FeatureOptions) -> Keypoints:
+    """Return keypoints that tell no angle where none was looked for."""
+    if not options.upright:
+        return keypoints
+    return replace(keypoints, angles=np.full_like(keypoints.angles, np.nan))
+
+
+def _upright(points: Sequence[cv2.KeyPoint]) -> list[cv2.KeyPoint]:
+    """Return points whose descriptors will not turn with the texture, each place and size once.
+
+    SIFT has a point more for each further direction that its surroundings may be seen to have.
+    """
+    first: dict[tuple[float, float, float], cv2.KeyPoint] = {}
+    for point in points:
+        x, y = point.pt
+        turned = cv2.KeyPoint(x, y, point.size, 0.0, point.response, point.octave, point.class_id)
+        first.setdefault((x, y, point.size), turned)
+    return list(first.values())
 
 
 def _keypoints(
@@ -258,3 +221,11 @@ def _keypoints(
         descriptors=descriptors,
         norm=norm,
     )
+
+
+METHODS: Final[dict[FeatureMethod, Callable[[Picture, FeatureOptions], Keypoints]]] = {
+    "orb": _detect_orb,
+    "sift": _detect_sift,
+    "aliked": detect_learned,
+    "disk": detect_learned,
+}

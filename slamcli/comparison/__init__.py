@@ -1,0 +1,183 @@
+"""One frame against one keyframe: what fits, and whether the pixels let it be believed.
+
+Features come first. When they are few, badly spread, or the pixels do not confirm their fit, every
+motion within reach is searched on the pixels themselves, and one is believed when it explains them
+clearly better than any other. What lies beyond the range of the features, smeared as it is, is
+asked last: it holds the motion where the near floor is bare, plain or hardly shared.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from slamcli.comparison import belief, hypotheses
+from slamcli.comparison.hypotheses import Hypothesis, Pair
+from slamcli.core.records import Link
+from slamcli.stages import align
+
+if TYPE_CHECKING:
+    from slamcli.core.config import MapperOptions
+    from slamcli.core.geometry import Pose2
+    from slamcli.core.records import Alignment, Calibration, Prepared
+    from slamcli.stages import dense
+
+# How far from a guess matches are looked for, as a share of how far the camera sees.
+_SEARCH_SHARE_OF_RANGE = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """One comparison of a frame with a keyframe: what fits, or why nothing does.
+
+    Attributes
+    ----------
+    keyframe, prepared : Prepared
+    alignment : Alignment
+        What the features said.
+    link : Link or None
+    overlap : float
+        Share of the smaller view's floor that both see; 0 when nothing gave a fit.
+    reason : str
+        Why there is no link; empty when there is one.
+    rival : float
+        Evidence of the next best motion over that of the best, in [0, 1]; nan when the features
+        alone decided.
+    search : Search or None
+        What the pixels were asked, when they were.
+    """
+
+    keyframe: Prepared
+    prepared: Prepared
+    alignment: Alignment
+    link: Link | None
+    overlap: float = 0.0
+    reason: str = ""
+    rival: float = math.nan
+    search: dense.Search | None = None
+
+
+def compare(
+    keyframe: Prepared,
+    prepared: Prepared,
+    guess: Pose2 | None,
+    calibration: Calibration,
+    options: MapperOptions,
+    *,
+    window: dense.Window | None = None,
+) -> Trial:
+    """Align a frame to a keyframe and check the fit by the pixels before it is believed.
+
+    Parameters
+    ----------
+    keyframe, prepared : Prepared
+        Both with features and levels.
+    guess : Pose2 or None
+        ``keyframe_from_prepared`` as expected; matches are looked for near it alone.
+    window : Window or None
+        Where the pixels are searched when the features do not convince; nowhere when it is None.
+        Given a guess they are asked about that alone.
+    """
+    assert keyframe.features is not None
+    assert prepared.features is not None
+    matching = replace(
+        options.matching,
+        model="rigid",
+        search_radius=_SEARCH_SHARE_OF_RANGE * calibration.max_range_metres,
+    )
+    alignment = align.align(keyframe.features, prepared.features, matching, guess)
+    near = Pair(keyframe.levels, prepared.levels)
+    case = _Case(keyframe, prepared, alignment, calibration, options)
+    by_features = None
+    if alignment.pose is not None and alignment.covariance is not None and not alignment.reason:
+        by_features = hypotheses.polish(
+            near, alignment.pose, alignment.covariance, calibration, options
+        )
+        if not options.dense or belief.convincing(alignment, by_features, options):
+            doubt = belief.implausible(by_features, options, beside_features=options.dense)
+            return case.trial(by_features, doubt)
+    if not options.dense or (window is None and guess is None):
+        return case.trial(by_features, alignment.reason or belief.few(alignment, options))
+    if guess is not None:
+        fit = hypotheses.polish(near, guess, None, calibration, options)
+        fits = [fit] if fit.covariance is not None else []
+        return case.choose(near, fits, by_features, None)
+    assert window is not None
+    found, fits = hypotheses.search(near, window, calibration, options)
+    trial = case.choose(near, fits, by_features, found)
+    if trial.link is not None or not (keyframe.far_levels and prepared.far_levels):
+        return trial
+    far = Pair(keyframe.far_levels, prepared.far_levels, far=True)
+    _, fits = hypotheses.search(far, window, calibration, options)
+    sharper = [hypotheses.sharpen(near, fit, calibration, options) for fit in fits]
+    second = case.choose(far, sharper, None, found)
+    return trial if second.link is None else second
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Case:
+    """Two frames, what their features say, and what the believing is bound to."""
+
+    keyframe: Prepared
+    prepared: Prepared
+    alignment: Alignment
+    calibration: Calibration
+    options: MapperOptions
+
+    def choose(
+        self,
+        pair: Pair,
+        fits: list[Hypothesis],
+        by_features: Hypothesis | None,
+        found: dense.Search | None,
+    ) -> Trial:
+        """Believe the motion that explains the pixels best, if it does so well and alone."""
+        if by_features is not None:
+            fits = [*fits, by_features]
+        fits = hypotheses.distinct(fits, pair)
+        if not fits:
+            return self.trial(
+                None, self.alignment.reason or "the pixels show no motion", 1.0, found
+            )
+        best = fits[0]
+        rival = fits[1].evidence / best.evidence if len(fits) > 1 and best.evidence > 0 else 0.0
+        differs = by_features is not None and not hypotheses.same(by_features.pose, best.pose, pair)
+        backed = (
+            by_features is not None and not differs and belief.backing(self.alignment, self.options)
+        )
+        doubt = belief.implausible(best, self.options)
+        if not doubt and not backed:
+            doubt = belief.unlike(pair, best, self.options)
+        if not doubt and differs and belief.many(self.alignment, self.options):
+            doubt = "the pixels speak for another motion than the features do"
+        if not doubt:
+            doubt = belief.ambiguous(rival, self.options)
+        if not doubt and not backed:
+            doubt = belief.undetermined(best, self.calibration.max_range_metres, self.options)
+        return self.trial(best, doubt, rival, found)
+
+    def trial(
+        self,
+        fit: Hypothesis | None,
+        doubt: str,
+        rival: float = math.nan,
+        found: dense.Search | None = None,
+    ) -> Trial:
+        """Return the trial of a fit: with its link, or with why there is none."""
+        link = None
+        if fit is not None and fit.covariance is not None and not doubt:
+            link = Link(
+                self.keyframe.index,
+                self.prepared.index,
+                fit.pose,
+                fit.covariance,
+                self.alignment.inlier_count if math.isnan(rival) else 0,
+                fit.agreed.correlation,
+                "step",
+            )
+        overlap = 0.0 if fit is None else fit.agreed.overlap
+        reason = "" if link is not None else f"{doubt} (to {self.keyframe.name})"
+        return Trial(
+            self.keyframe, self.prepared, self.alignment, link, overlap, reason, rival, found
+        )

@@ -1,0 +1,218 @@
+"""Motions that may explain two frames: found on the pixels, refined, and weighed by them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.core.geometry import wrap_angle
+from slamcli.stages import dense
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.core.config import MapperOptions
+    from slamcli.core.geometry import Pose2
+    from slamcli.core.records import Calibration, DenseLevel
+
+# So many peaks of a search are followed up; a ridge along a line alone may hold several.
+_PEAKS = 10
+# What explains less than this share of what the best peak does, on the coarsest level, is no rival
+# on finer ones either.
+_LEAST_SHARE_OF_BEST = 0.4
+# Two motions nearer than this, in pixels of the coarsest level and in radians, are one.
+_SAME_PIXELS = 3.0
+_SAME_RADIANS = 0.05
+# Fits of one motion with about the same evidence differ in what they let the camera do besides.
+_EQUAL_SHARE = 0.95
+# A rigid motion that correlates so well needs no rocking camera to explain it; where it does not,
+# the rocking is believed when it leaves less than this share unexplained. On a floor of a few lines
+# a line's end may be brought to fit by a tilt as well as by the motion.
+_STEADY_CORRELATION = 0.95
+_ROCKING_SHARE = 0.6
+# A robot may rock so much more than its tilt sigma says, where the pixels ask for it.
+_ROCKING_TIMES = 5.0
+# By so much more must views be alike on the coarsest level, whose few pixels agree by chance.
+_COARSE_HANDICAP = 0.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair:
+    """The pyramids of two views of one kind.
+
+    Attributes
+    ----------
+    a, b : tuple of DenseLevel
+    far : bool
+        Whether they reach beyond the range of the features.
+    """
+
+    a: tuple[DenseLevel, ...]
+    b: tuple[DenseLevel, ...]
+    far: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """A motion that may become a link, and what the pixels say of it.
+
+    Attributes
+    ----------
+    pose : Pose2
+        ``a_from_b``.
+    covariance : (3, 3) float64 or None
+        None where the pixels do not hold the motion.
+    agreed : Agreement
+    evidence, correlation : float
+        Of the contrast-normalised pixels.
+    view_a_from_view_b : (3, 3) float64
+        The motion as the views show it, each with its frame's tilt.
+    """
+
+    pose: Pose2
+    covariance: NDArray[np.float64] | None
+    agreed: dense.Agreement
+    evidence: float
+    correlation: float
+    view_a_from_view_b: NDArray[np.float64]
+
+
+def search(
+    pair: Pair, window: dense.Window, calibration: Calibration, options: MapperOptions
+) -> tuple[dense.Search, list[Hypothesis]]:
+    """Search every motion of a window; return what was found, and what holds on all levels."""
+    found = dense.search(
+        pair.a[-1], pair.b[-1], window, min_overlap=options.min_overlap, count=_PEAKS
+    )
+    # A start that the refinement leaves far behind is a slope of the evidence, not a peak.
+    polished = [
+        polish(pair, start, None, calibration, options)
+        for start in _follow_up(pair, found, calibration, options)
+    ]
+    return found, [fit for fit in polished if fit.covariance is not None]
+
+
+def _follow_up(
+    pair: Pair, found: dense.Search, calibration: Calibration, options: MapperOptions
+) -> list[Pose2]:
+    """Refine a search's peaks on its own level; return those that may be the best or its rival."""
+    tilt = math.radians(options.tilt_sigma_degrees)
+    coarse_a, coarse_b = pair.a[-1:], pair.b[-1:]
+    peaks: list[dense.Candidate] = []
+    for peak in found.candidates:
+        if peak.evidence < _LEAST_SHARE_OF_BEST * found.candidates[0].evidence:
+            continue
+        refined = dense.refine(coarse_a, coarse_b, peak.a_from_b, calibration, tilt)
+        pose, shown = peak.a_from_b, peak.a_from_b.matrix
+        if refined is not None:
+            pose, shown = refined.a_from_b, refined.view_a_from_view_b
+        if not any(same(other.a_from_b, pose, pair) for other in peaks):
+            peaks.append(dense.evidence(coarse_a[0], coarse_b[0], pose, shown))
+    peaks.sort(key=lambda peak: -peak.evidence)
+    kept = [p for p in peaks if p.evidence >= _LEAST_SHARE_OF_BEST * peaks[0].evidence]
+    return [peak.a_from_b for peak in kept[: options.most_hypotheses]]
+
+
+def polish(
+    pair: Pair,
+    pose: Pose2,
+    covariance: NDArray[np.float64] | None,
+    calibration: Calibration,
+    options: MapperOptions,
+) -> Hypothesis:
+    """Refine a motion on the pixels, where that makes them agree better, and judge it."""
+    start = judge(pair, pose, covariance, pose.matrix)
+    if not options.refine and covariance is not None:
+        return start
+    # Features come within a pixel of the finest levels; what a search found starts at the coarsest.
+    levels = slice(0, 2) if covariance is not None else slice(None)
+    best = start
+    steady = math.radians(options.tilt_sigma_degrees)
+    # Among bare lines, where no features are, a large tilt passes for a turn. What lies far off
+    # shifts by much for a little tilt, and is never compared without.
+    tilts = (0.0, steady) if covariance is None else (0.0, steady, _ROCKING_TIMES * steady)
+    for tilt in tilts[1:] if pair.far else tilts:
+        if best.covariance is not None and best.correlation >= _STEADY_CORRELATION:
+            break
+        refined = dense.refine(pair.a[levels], pair.b[levels], best.pose, calibration, tilt)
+        if refined is None:
+            break
+        fit = judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
+        if best.covariance is None or _better(fit, best, rocking=tilt > 0.0):
+            best = fit
+    return best
+
+
+def sharpen(
+    near: Pair, fit: Hypothesis, calibration: Calibration, options: MapperOptions
+) -> Hypothesis:
+    """Refine what the far pixels told on the near ones too, where those share enough of the floor.
+
+    The far pixels' evidence stays: they are what told this motion from others.
+    """
+    assert fit.covariance is not None
+    tilt = math.radians(options.tilt_sigma_degrees)
+    known = dense.Known(fit.pose, fit.covariance)
+    refined = dense.refine(near.a[:2], near.b[:2], fit.pose, calibration, tilt, known)
+    if refined is None:
+        return fit
+    sharper = judge(near, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
+    if sharper.agreed.overlap < options.min_overlap:
+        return fit
+    return replace(sharper, evidence=fit.evidence, correlation=fit.correlation)
+
+
+def judge(
+    pair: Pair,
+    pose: Pose2,
+    covariance: NDArray[np.float64] | None,
+    shown: NDArray[np.float64],
+) -> Hypothesis:
+    """Return what the pixels say of one motion."""
+    agreed = dense.agreement(pair.a[0], pair.b[0], shown)
+    # The floor's own fine texture outweighs, pixel by pixel, what large things that stand on it do.
+    fine = dense.evidence(pair.a[0], pair.b[0], pose, shown)
+    middle = dense.evidence(pair.a[1], pair.b[1], pose, shown)
+    correlation = max(fine.correlation, middle.correlation)
+    return Hypothesis(pose, covariance, agreed, fine.evidence, correlation, shown)
+
+
+def likeness(pair: Pair, fit: Hypothesis) -> float:
+    """Return how like the views are: on a bare floor the camera's noise hides it but coarsely."""
+    coarse = dense.evidence(pair.a[-1], pair.b[-1], fit.pose, fit.view_a_from_view_b).correlation
+    return max(fit.correlation, coarse - _COARSE_HANDICAP)
+
+
+def distinct(fits: list[Hypothesis], pair: Pair) -> list[Hypothesis]:
+    """Return the motions, best first, each once: as it is known best among equals."""
+    kept: list[Hypothesis] = []
+    for fit in sorted(fits, key=lambda fit: -fit.evidence):
+        place = next((n for n, k in enumerate(kept) if same(k.pose, fit.pose, pair)), None)
+        if place is None:
+            kept.append(fit)
+        elif fit.evidence > _EQUAL_SHARE * kept[place].evidence and _surer(fit, kept[place]):
+            kept[place] = fit
+    return kept
+
+
+def same(first: Pose2, second: Pose2, pair: Pair) -> bool:
+    """Return whether two motions are one, as far as the coarsest level tells."""
+    apart = first.inverse() @ second
+    near = _SAME_PIXELS * pair.a[-1].metres_per_pixel
+    return apart.translation_length < near and abs(wrap_angle(apart.theta)) < _SAME_RADIANS
+
+
+def _better(fit: Hypothesis, other: Hypothesis, *, rocking: bool) -> bool:
+    """Return whether a refined fit agrees better; one that bends the floor must do so by far."""
+    if not rocking:
+        return fit.evidence > other.evidence
+    return 1.0 - fit.correlation < _ROCKING_SHARE * (1.0 - other.correlation)
+
+
+def _surer(fit: Hypothesis, other: Hypothesis) -> bool:
+    assert fit.covariance is not None
+    assert other.covariance is not None
+    return bool(np.linalg.det(fit.covariance) < np.linalg.det(other.covariance))

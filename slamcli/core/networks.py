@@ -1,0 +1,64 @@
+"""What a trained network must be able to do, for the stages that never see its file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NetworkPoints:
+    """The points that a network found in a picture of its own size.
+
+    Attributes
+    ----------
+    pixels : (N, 2) float64
+        Column and row.
+    scores : (N,) float32
+    descriptors : (N, D) float32
+    """
+
+    pixels: NDArray[np.float64]
+    scores: NDArray[np.float32]
+    descriptors: NDArray[np.float32]
+
+
+class PointNetwork(Protocol):
+    """Finds and describes points; safe to call from several threads."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the pictures that it takes, pixels."""
+
+    def find(self, image: NDArray[np.uint8]) -> NetworkPoints:
+        """Return the points of an (h, w, 3) BGR picture of its size; raises FrameError."""
+
+
+class MatchNetwork(Protocol):
+    """Pairs the points of two pictures."""
+
+    def match(
+        self,
+        places_a: NDArray[np.float32],
+        places_b: NDArray[np.float32],
+        descriptors_a: NDArray[np.float32],
+        descriptors_b: NDArray[np.float32],
+    ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """Return (M, 2) pairs of indices and (M,) distances; raises InputError.
+
+        Parameters
+        ----------
+        places_a, places_b : (N, 2) float32
+            Right and down, in [-1, 1] over what the two show.
+        descriptors_a, descriptors_b : (N, D) float32
+
+        Returns
+        -------
+        pairs : (M, 2) int32
+        distances : (M,) float32
+            One minus the network's confidence.
+        """

@@ -1,0 +1,196 @@
+"""Trained networks from the user's ONNX files, through OpenCV's own classes.
+
+ALIKED: Zhao et al., IEEE Transactions on Instrumentation and Measurement 72, 2023. DISK:
+Tyszkiewicz et al., NeurIPS 2020. LightGlue: Lindenberger et al., ICCV 2023.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slamcli.core.errors import FrameError, InputError
+from slamcli.core.networks import NetworkPoints
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from slamcli.core.config import FeatureMethod
+    from slamcli.core.networks import MatchNetwork, PointNetwork
+
+# What the published files take, and OpenCV's own defaults.
+_ALIKED_SIZE = (640, 640)
+_DISK_SIZE = (1024, 1024)
+# DISK halves its picture four times.
+_DISK_STRIDE = 16
+# LightGlue's own: a less sure pair is none.
+_LEAST_CONFIDENCE = 0.1
+
+
+def load_point_network(
+    method: FeatureMethod, path: Path, size: tuple[int, int] | None
+) -> PointNetwork:
+    """Load ALIKED or DISK and try it once.
+
+    Parameters
+    ----------
+    method : {"aliked", "disk"}
+    path : Path
+        An ONNX file with the input ``image`` (1, 3, h, w) and the outputs ``keypoints``,
+        ``descriptors`` and ``scores``.
+    size : (int, int) or None
+        Width and height of its pictures; None: what the published files take.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, no network, or another one.
+    """
+    _check_file(path)
+    network = _aliked(path, size) if method == "aliked" else _disk(path, size)
+    # What an unfit network says comes once here, not as every frame's reason.
+    width, height = network.size
+    noise = np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8)
+    try:
+        network.find(noise)
+    except FrameError as error:
+        raise InputError(
+            f"{path} does not work as {method.upper()} on {width}x{height} pixels: {error}"
+        ) from error
+    return network
+
+
+def load_match_network(path: Path) -> MatchNetwork:
+    """Load LightGlue.
+
+    Parameters
+    ----------
+    path : Path
+        An ONNX file with the inputs ``kpts0``, ``kpts1``, ``desc0``, ``desc1`` and the outputs
+        ``matches0`` (M, 2) and ``mscores0`` (M,), trained for the features that it is to match.
+
+    Raises
+    ------
+    InputError
+        When the file is missing or no network.
+    """
+    _check_file(path)
+    try:
+        return _LightGlue(path, cv2.LightGlueMatcher.create(str(path), _LEAST_CONFIDENCE))
+    except cv2.error as error:
+        raise InputError(_unreadable(path, error)) from error
+
+
+def _check_file(path: Path) -> None:
+    """Raise InputError for a file that cannot be opened, whose reason OpenCV does not tell."""
+    try:
+        with path.open("rb"):
+            pass
+    except OSError as error:
+        raise InputError(f"cannot read the network {path}: {error.strerror or error}") from error
+
+
+def _unreadable(path: Path, error: cv2.error) -> str:
+    return f"{path} is not a network that OpenCV can read; an ONNX file is needed ({_short(error)})"
+
+
+def _short(error: cv2.error) -> str:
+    """Return what OpenCV says, without where in its sources it says so."""
+    text = " ".join(str(error.err or error).split())
+    return text.removesuffix(".")
+
+
+def _aliked(path: Path, size: tuple[int, int] | None) -> PointNetwork:
+    parameters = cv2.ALIKED.Params()
+    parameters.inputSize = size or _ALIKED_SIZE
+    try:
+        detector = cv2.ALIKED.create(str(path), parameters)
+    except cv2.error as error:
+        raise InputError(_unreadable(path, error)) from error
+    width, height = parameters.inputSize
+    # The network spans -1 to 1 from the first pixel to the last, where OpenCV takes it to span the
+    # picture from border to border.
+    scale = np.array([(width - 1) / width, (height - 1) / height])
+    return _Points(path, detector, (width, height), scale)
+
+
+def _disk(path: Path, size: tuple[int, int] | None) -> PointNetwork:
+    size = size or _DISK_SIZE
+    if size[0] % _DISK_STRIDE or size[1] % _DISK_STRIDE:
+        raise InputError(
+            f"DISK takes sides that are multiples of {_DISK_STRIDE}, not {size[0]}x{size[1]}"
+        )
+    try:
+        detector = cv2.DISK.create(str(path), -1, 0.0, size)
+    except cv2.error as error:
+        raise InputError(_unreadable(path, error)) from error
+    return _Points(path, detector, size, np.ones(2))
+
+
+class _Points:
+    """ALIKED or DISK; one picture at a time, as OpenCV's networks keep their layers' results."""
+
+    def __init__(
+        self,
+        path: Path,
+        detector: cv2.Feature2D,
+        size: tuple[int, int],
+        scale: NDArray[np.float64],
+    ) -> None:
+        self._path, self._detector, self._size, self._scale = path, detector, size, scale
+        self._lock = threading.Lock()
+
+    def __str__(self) -> str:
+        return str(self._path)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self._size
+
+    def find(self, image: NDArray[np.uint8]) -> NetworkPoints:
+        try:
+            with self._lock:
+                found, descriptors = self._detector.detectAndCompute(image, None)
+        except cv2.error as error:
+            raise FrameError(f"the network fails: {_short(error)}") from error
+        described = np.asarray([] if descriptors is None else descriptors, np.float32)
+        return NetworkPoints(
+            np.array([point.pt for point in found]).reshape(-1, 2) * self._scale,
+            np.array([point.response for point in found], np.float32),
+            described.reshape(len(found), -1 if len(found) else self._detector.descriptorSize()),
+        )
+
+
+class _LightGlue:
+    """LightGlue; one pair at a time."""
+
+    def __init__(self, path: Path, matcher: cv2.LightGlueMatcher) -> None:
+        self._path, self._matcher = path, matcher
+        self._lock = threading.Lock()
+
+    def __str__(self) -> str:
+        return str(self._path)
+
+    def match(
+        self,
+        places_a: NDArray[np.float32],
+        places_b: NDArray[np.float32],
+        descriptors_a: NDArray[np.float32],
+        descriptors_b: NDArray[np.float32],
+    ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        try:
+            with self._lock:
+                # Without picture sizes OpenCV takes the places as they are.
+                self._matcher.setPairInfo(places_a, places_b)
+                found = self._matcher.match(descriptors_a, descriptors_b)
+        except cv2.error as error:
+            raise InputError(
+                f"{self._path} does not work as LightGlue on these features: {_short(error)}"
+            ) from error
+        pairs = np.array([(pair.queryIdx, pair.trainIdx) for pair in found], np.int32)
+        return pairs.reshape(-1, 2), np.array([pair.distance for pair in found], np.float32)

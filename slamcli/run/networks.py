@@ -1,0 +1,74 @@
+"""The trained networks that the user names, loaded before the first frame is read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+from slamcli.core.errors import InputError
+from slamcli.io.networks import load_match_network, load_point_network
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions
+
+LEARNED = ("aliked", "disk")
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkFiles:
+    """What the user said of networks.
+
+    Attributes
+    ----------
+    weights : Path or None
+        Of ALIKED or DISK, as ONNX.
+    network_size : (int, int) or None
+        Width and height of the pictures that they take; None: what the published files take.
+    matcher : str
+    matcher_weights : Path or None
+        Of LightGlue, as ONNX.
+    """
+
+    weights: Path | None = None
+    network_size: tuple[int, int] | None = None
+    matcher: Literal["nearest", "lightglue"] = "nearest"
+    matcher_weights: Path | None = None
+
+
+NO_NETWORKS = NetworkFiles()
+
+
+def with_point_network(
+    options: FeatureOptions, files: NetworkFiles, method: FeatureMethod | Literal["auto"]
+) -> FeatureOptions:
+    """Return the options with their network, when the method is one; raises InputError."""
+    if method == "aliked" or method == "disk":
+        if files.weights is None:
+            raise InputError(f"--features {method} needs its network: add --weights FILE.onnx")
+        network = load_point_network(method, files.weights, files.network_size)
+        return replace(options, network=network)
+    if files.weights is not None or files.network_size is not None:
+        raise InputError(
+            f"--weights and --network-size are for --features {' or '.join(LEARNED)}, not {method}"
+        )
+    return options
+
+
+def with_match_network(
+    options: MatchOptions, files: NetworkFiles, method: FeatureMethod | Literal["auto"]
+) -> MatchOptions:
+    """Return the options with the network that pairs the points, if any; raises InputError."""
+    if files.matcher == "nearest":
+        if files.matcher_weights is not None:
+            raise InputError("--matcher-weights is for --matcher lightglue: add that, too")
+        return options
+    if files.matcher_weights is None:
+        raise InputError("--matcher lightglue needs its network: add --matcher-weights FILE.onnx")
+    if method not in LEARNED:
+        raise InputError(
+            f"--matcher lightglue pairs the points of --features {' or '.join(LEARNED)}, "
+            f"not of {method}"
+        )
+    return replace(options, network=load_match_network(files.matcher_weights))

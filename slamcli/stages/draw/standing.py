@@ -1,0 +1,36 @@
+"""A view with what stands on its floor tinted red."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_TINT = np.array([40.0, 40.0, 255.0])
+_SHARE = 0.5
+
+
+def draw_standing(
+    image: NDArray[np.uint8], cells: NDArray[np.bool_], cells_from_pixel: NDArray[np.float64]
+) -> NDArray[np.uint8]:
+    """Return the picture with the marked cells tinted.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8 BGR
+    cells : (rows, columns) bool
+    cells_from_pixel : (3, 3) float64
+        Pixels of the picture to column and row of a cell, whole at its centre.
+    """
+    marked = cv2.warpPerspective(
+        cells.astype(np.uint8),
+        cells_from_pixel,
+        (image.shape[1], image.shape[0]),
+        flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+    )
+    tinted = (1.0 - _SHARE) * image + _SHARE * _TINT
+    return np.where((np.asarray(marked) > 0)[..., None], tinted, image).astype(np.uint8)

@@ -1,0 +1,108 @@
+"""Which of the points found are kept, and where a level's pixels lie in its picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.core.geometry import Grid
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.core.config import FeatureOptions
+
+# Pixels to the side of one value of Picture.clearance.
+CLEARANCE_STEP = 4
+# Enough that a cell of sharp paint gives more than one of dull floor, which matches worse.
+_POINTS_PER_CELL = 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """What a detector is shown of a view.
+
+    Attributes
+    ----------
+    gray : (h, w) uint8
+        Cleaned, if so asked.
+    allowed : (h, w) uint8
+        255 where a point may lie.
+    clearance : (h / 4, w / 4) float32 or None
+        Pixels to the nearest that was not seen, one value for `CLEARANCE_STEP` pixels each way;
+        None without a region of interest.
+    """
+
+    gray: NDArray[np.uint8]
+    allowed: NDArray[np.uint8]
+    clearance: NDArray[np.float32] | None
+
+
+def choose(
+    picture: Picture,
+    pixels: NDArray[np.float64],
+    responses: NDArray[np.float32],
+    scales: NDArray[np.float64] | float,
+    options: FeatureOptions,
+) -> NDArray[np.int64]:
+    """Return which points to keep: patches wholly on seen floor, strong, spread if so asked.
+
+    Parameters
+    ----------
+    picture : Picture
+    pixels : (N, 2) float64
+    responses : (N,) float32
+    scales : (N,) float64 or float
+        Pixels of the picture to one of the pyramid level.
+    options : FeatureOptions
+
+    Returns
+    -------
+    (M,) int64
+        In rising order.
+    """
+    keep = np.arange(len(pixels))
+    if picture.clearance is not None:
+        column, row = np.rint(pixels).astype(np.int64).T // CLEARANCE_STEP
+        rows, columns = picture.clearance.shape
+        clearance = picture.clearance[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
+        keep = np.flatnonzero(clearance > options.roi_border_pixels * np.maximum(scales, 1.0))
+    if len(keep) > options.count:
+        if options.spread:
+            area = float(np.count_nonzero(picture.allowed))
+            cell = np.sqrt(_POINTS_PER_CELL * area / options.count)
+            order = _spread_order(pixels[keep], responses[keep], max(cell, 1.0))
+        else:
+            order = np.argsort(-responses[keep], kind="stable")
+        keep = np.sort(keep[order[: options.count]])
+    return keep
+
+
+def _spread_order(
+    pixels: NDArray[np.float64], responses: NDArray[np.float32], cell_pixels: float
+) -> NDArray[np.int64]:
+    """Order points so that any first few are spread: each cell's strongest, then its second ..."""
+    column, row = np.floor(pixels / cell_pixels).astype(np.int64).T
+    cell = row * (column.max() + 1) + column
+    by_cell = np.lexsort((-responses, cell))
+    cell = cell[by_cell]
+    starts = np.flatnonzero(np.r_[True, cell[1:] != cell[:-1]])
+    rank = np.empty(len(cell), dtype=np.int64)
+    lengths = np.diff(np.r_[starts, len(cell)])
+    rank[by_cell] = np.arange(len(cell)) - np.repeat(starts, lengths)
+    return np.lexsort((-responses, rank))
+
+
+def pixel_from_level(
+    full_shape: tuple[int, ...], level_shape: tuple[int, ...]
+) -> NDArray[np.float64]:
+    """(3, 3): pixel of a pyramid level to pixel of the picture; their outer corners coincide."""
+    fine = Grid(0.0, 0.0, 1.0, 1, 1)
+    across, down = (
+        fine.pixel_from_metres
+        @ Grid(0.0, 0.0, full_shape[axis] / level_shape[axis], 1, 1).metres_from_pixel
+        for axis in (1, 0)
+    )
+    return np.array([across[0], down[1], [0.0, 0.0, 1.0]])
