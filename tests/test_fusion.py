@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
 import sys
 import tomllib
 from itertools import pairwise
@@ -314,8 +315,12 @@ def test_stitch_takes_what_the_robot_felt(drive_folder: Path, tmp_path: Path) ->
     write_gps(tmp_path / "gps.csv", truth.stamps.tolist(), exact, 0.01)
     senses = [f"--{name}={drive_folder / name}.csv" for name in ("odometry", "compass")]
     senses += [f"--gps={tmp_path / 'gps.csv'}", "--time-offset", "auto"]
+    frames = tmp_path / "drive" / "frames"
+    shutil.copytree(drive_folder / "frames", frames)
+    shutil.copy(drive_folder / "camera.yaml", frames.parent)
+    (frames / "0012.jpg").write_bytes(b"no picture")
     output = tmp_path / "out"
-    told = stitch(drive_folder, output, *senses, "--export", "geojson,links")
+    told = stitch(frames.parent, output, *senses, "--export", "geojson,links,g2o")
     assert told.startswith("0"), told
     run = tomllib.loads((output / "run.toml").read_text())
     assert run["georeference"]["gps_readings"] >= 22
@@ -324,7 +329,13 @@ def test_stitch_takes_what_the_robot_felt(drive_folder: Path, tmp_path: Path) ->
     track = json.loads((output / "track.geojson").read_text())
     longitude, latitude = track["features"][0]["geometry"]["coordinates"][0]
     assert (latitude, longitude) == pytest.approx(DATUM, abs=3e-7)
-    assert (output / "links.csv").read_text().startswith("a,b,kind")
+    links = (output / "links.csv").read_text().splitlines()
+    assert links[0].startswith("a,b,kind")
+    # Odometry between all frames that follow one another, besides.
+    assert (output / "graph.g2o").read_text().count("EDGE_SE2") == len(links) - 1 + 25
+    assert "predicted    1, carried by odometry" in told
+    rows = (output / "poses.csv").read_text().splitlines()
+    assert rows[13].split(",")[3] == "predicted"
     assert "on Earth     origin known to 0.0" in told
     assert re.search(r"time offset +[+-]0\.0\d\d s", told)
 

@@ -43,13 +43,16 @@ def check_exports(kinds: Sequence[str], files: Sequence[FrameFile], *, has_gps: 
 def write_exports(folder: Path, kinds: Sequence[str], mapper: Mapper) -> None:
     """Write what was asked for, a file a fragment, or one for all."""
     fragments = placed_fragments(mapper.estimates)
+    off = mapper.switched_off
+    links = [link for number, link in enumerate(mapper.links) if number not in off]
+    links += mapper.senses.chain(mapper.estimates)
     for fragment, members in fragments.items():
         suffix = "" if fragment == 0 else f"_{fragment}"
         for kind in kinds:
             if kind in EXPORTS:
-                EXPORTS[kind](folder, suffix, members, mapper.links)
+                EXPORTS[kind](folder, suffix, members, links)
     if "links" in kinds:
-        write_links(folder / "links.csv", mapper.links, mapper.switched_off)
+        write_links(folder / "links.csv", mapper.links, off)
     if "geojson" in kinds:
         tracks = {}
         for fragment, found in mapper.georeferences.items():

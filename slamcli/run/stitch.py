@@ -228,9 +228,12 @@ def _write_maps(
     staging: Path,
     progress: Progress,
 ) -> float:
-    """Second walk: paint every fragment; return the floor seen in all, in square metres."""
+    """Second walk: paint every fragment; return the floor seen in all, in square metres.
+
+    By the frames that are tracked: what a predicted one shows was of no use to place it.
+    """
     fragments = placed_fragments(estimates)
-    total = sum(len(members) for members in fragments.values())
+    total = sum(estimate.status == "tracked" for estimate in estimates)
     metres_per_pixel = options.metres_per_pixel or camera.default_metres_per_pixel(
         inputs.calibration
     )
@@ -238,9 +241,10 @@ def _write_maps(
     for fragment, members in fragments.items():
         suffix = "" if fragment == 0 else f"_{fragment}"
         painter = Painter(inputs.calibration, metres_per_pixel)
-        _check_extent(painter, members)
+        seen = [estimate for estimate in members if estimate.status == "tracked"]
+        _check_extent(painter, seen)
         canvas = Canvas(metres_per_pixel)
-        jobs = [(inputs.files[e.index], e.map_from_robot) for e in members if e.map_from_robot]
+        jobs = [(inputs.files[e.index], e.map_from_robot) for e in seen if e.map_from_robot]
         for patch in ordered(partial(_paint, painter), jobs, options.workers):
             canvas.paint(patch)
             done += 1
