@@ -348,6 +348,9 @@ def test_stitch_says_what_it_lacks(
     refused = stitch(drive_folder, tmp_path / "b", "--time-offset", "auto")
     assert refused.startswith("1 Error: --time-offset auto needs --odometry")
     assert stitch(drive_folder, tmp_path / "d", "--lever-arm", "1").startswith("2")
+    plain = ["stitch", str(drive_folder / "frames"), "-o", str(tmp_path / "f"), "--frame-rate=10"]
+    refused = CliRunner().invoke(main, [*plain, f"--gps={drive_folder / 'gps.csv'}"]).output
+    assert "the frames are in pixels; give --calibration" in refused
     monkeypatch.setitem(sys.modules, "pyproj", None)
     refused = stitch(drive_folder, tmp_path / "e", f"--gps={drive_folder / 'gps.csv'}")
     assert "1 Error: GPS needs pyproj: pip install slamcli[geo]" in refused

@@ -124,7 +124,7 @@ def stitch(
     started = time.monotonic()
     inputs = open_inputs(sources, calibration_path, options.frame_rate, options.max_range_metres)
     files = telemetry or TelemetryFiles()
-    readings = read_telemetry(files, inputs.files)
+    readings = read_telemetry(files, inputs)
     exports.check_exports(options.export, inputs.files, has_gps=bool(readings.gps))
     mapper = Mapper(inputs.calibration, _with_networks(options), options.telemetry)
     if not readings.find_time_offset:

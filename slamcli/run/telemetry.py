@@ -12,12 +12,11 @@ from slamcli.io.telemetry import read_compass, read_gps, read_odometry
 from slamcli.stages.telemetry import estimate_time_offset
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
-    from slamcli.io.frames import FrameFile
     from slamcli.mapper import Mapper
+    from slamcli.run.inputs import Inputs
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,17 +52,20 @@ class Telemetry:
     find_time_offset: bool
 
 
-def read_telemetry(files: TelemetryFiles, frames: Sequence[FrameFile]) -> Telemetry:
+def read_telemetry(files: TelemetryFiles, inputs: Inputs) -> Telemetry:
     """Return the readings of all files that were named.
 
     Raises
     ------
     InputError
-        Also when the frames have no stamps to tie readings to.
+        Also when the frames have no stamps to tie readings to, or are not in metres.
     """
     named = next((p for p in (files.odometry, files.compass, files.gps) if p is not None), None)
-    if named is not None and all(frame.stamp is None for frame in frames):
+    if named is not None and all(frame.stamp is None for frame in inputs.files):
         raise InputError(f"{named} has stamps and the frames have none; give --frame-rate")
+    metric = files.odometry or files.gps
+    if metric is not None and inputs.calibration.unit != "m":
+        raise InputError(f"{metric} is in metres and the frames are in pixels; give --calibration")
     if files.find_time_offset and files.odometry is None:
         raise InputError("--time-offset auto needs --odometry")
     return Telemetry(
