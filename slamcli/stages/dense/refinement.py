@@ -39,7 +39,7 @@ _LEAST_INFORMATION = 1e-8
 _CHANCE_SIGMAS = 2.0
 # The stairs of a line's edge in the camera's pixels, and the blocks of a JPEG, move with the camera
 # and not with the floor: such a share of an edge's gradient along it tells nothing.
-_STAIRS = 0.02
+_STAIRS = 0.01
 # Neighbouring residuals are not independent: interpolation and blur tie about this many together.
 _CORRELATED_PIXELS = 48.0
 _REMAP_COLUMNS = 256
