@@ -89,6 +89,9 @@ def compare(
     alignment = align.align(keyframe.features, prepared.features, matching, guess)
     near = Pair(keyframe.levels, prepared.levels)
     case = _Case(keyframe, prepared, alignment, calibration, options)
+    ask_pixels = options.dense and not (window is None and guess is None)
+    if not ask_pixels and options.dense and not belief.many(alignment, options):
+        return case.trial(None, alignment.reason or belief.few(alignment, options))
     by_features = None
     if alignment.pose is not None and alignment.covariance is not None and not alignment.reason:
         by_features = hypotheses.polish(
@@ -97,7 +100,7 @@ def compare(
         if not options.dense or belief.convincing(alignment, by_features, options):
             doubt = belief.implausible(by_features, options, beside_features=options.dense)
             return case.trial(by_features, doubt)
-    if not options.dense or (window is None and guess is None):
+    if not ask_pixels:
         return case.trial(by_features, alignment.reason or belief.few(alignment, options))
     if guess is not None:
         fit = hypotheses.polish(near, guess, None, calibration, options)

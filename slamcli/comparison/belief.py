@@ -24,6 +24,9 @@ _LEAST_DENSE_OVERLAP = 0.2
 _CONFIRMED = 0.5
 _CONFIRMED_BESIDE_FEATURES = 0.2
 _LEAST_CONFIRMED = 0.35
+# On a floor with too few patches to vote, the little that there is must agree by so much better
+# where the camera's noise hides whether the rest does.
+_FEW_PATCHES_HANDICAP = 0.4
 
 
 def convincing(alignment: Alignment, fit: Hypothesis, options: MapperOptions) -> bool:
@@ -84,7 +87,7 @@ def unlike(pair: Pair, fit: Hypothesis, options: MapperOptions) -> str:
     """Return why the pixels alone are not believed: too unlike, or of too little shared floor."""
     alike = fit.agreed.correlation
     if math.isnan(fit.agreed.confirmed):
-        alike = min(alike, hypotheses.likeness(pair, fit))
+        alike = min(alike, max(hypotheses.likeness(pair, fit), alike - _FEW_PATCHES_HANDICAP))
     if not alike >= options.min_dense_score and not fit.agreed.confirmed >= _CONFIRMED:
         return (
             f"the pixels are too unlike: correlation {alike:.2f}; "

@@ -32,6 +32,7 @@ _EQUAL_SHARE = 0.95
 # the rocking is believed when it leaves less than this share unexplained. On a floor of a few lines
 # a line's end may be brought to fit by a tilt as well as by the motion.
 _STEADY_CORRELATION = 0.95
+_CONTRAST_HANDICAP = 0.03
 _ROCKING_SHARE = 0.6
 # A robot may rock so much more than its tilt sigma says, where the pixels ask for it.
 _ROCKING_TIMES = 5.0
@@ -135,7 +136,7 @@ def polish(
     # shifts by much for a little tilt, and is never compared without.
     tilts = (0.0, steady) if covariance is None else (0.0, steady, _ROCKING_TIMES * steady)
     for tilt in tilts[1:] if pair.far else tilts:
-        if best.covariance is not None and best.correlation >= _STEADY_CORRELATION:
+        if best.covariance is not None and _steady(best):
             break
         refined = dense.refine(pair.a[levels], pair.b[levels], best.pose, calibration, tilt)
         if refined is None:
@@ -144,6 +145,12 @@ def polish(
         if best.covariance is None or _better(fit, best, rocking=tilt > 0.0):
             best = fit
     return best
+
+
+def _steady(fit: Hypothesis) -> bool:
+    """Return whether no rocking is needed; on a bare floor noise hides it but from the contrast."""
+    alike = max(fit.correlation, fit.agreed.correlation - _CONTRAST_HANDICAP)
+    return alike >= _STEADY_CORRELATION
 
 
 def sharpen(

@@ -143,6 +143,8 @@ class DenseLevel:
         Of the detail, per metre.
     noise_gray : float
         One standard deviation of the camera's noise in the detail.
+    normalised : (h, w) float32
+        The detail with its local contrast evened out; 0 outside.
     """
 
     pixel_from_metres: NDArray[np.float64]
@@ -155,6 +157,7 @@ class DenseLevel:
     values: NDArray[np.float64]
     gradients: NDArray[np.float64]
     noise_gray: float
+    normalised: NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,6 +26,11 @@ _HIGH_PASS_PIXELS = 25
 _LEAST_WINDOW_SHARE = 0.7
 _SAMPLE_STEP = 16
 _NOISE_KERNEL = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+_CONTRAST_PIXELS = 5.0
+# What is flatter than this is noise; its contrast is not to be raised to that of a line. It is not
+# measured by the picture's own contrast, which may be that of a dark thing on a pale floor.
+_LEAST_CONTRAST_GRAY = 1.0
+_NOISE_TIMES = 3.0
 # White noise, halved once and smoothed as the detail is, leaves its deviation over 1.57; the median
 # of its size is 0.6745 deviations. Halving it again leaves 0.48 of it.
 _NOISE_FACTOR = 1.57 / 0.6745
@@ -84,6 +89,8 @@ def _level(
     noise_gray: float | None,
 ) -> DenseLevel:
     detail, inside = _detail(image, mask)
+    if noise_gray is None:
+        noise_gray = _noise(detail, inside)
     right, up = slopes(detail, metres_per_pixel)
     chosen = _most_telling(np.where(inside == 255, right * right + up * up, np.float32(0.0)))
     rows, columns = np.unravel_index(chosen, detail.shape)
@@ -100,8 +107,22 @@ def _level(
         points,
         values,
         gradients,
-        _noise(detail, inside) if noise_gray is None else noise_gray,
+        noise_gray,
+        _normalised(detail, inside, noise_gray),
     )
+
+
+def _normalised(
+    detail: NDArray[np.float32], inside: NDArray[np.uint8], noise_gray: float
+) -> NDArray[np.float32]:
+    """Return the detail with its local contrast evened out; 0 outside."""
+    weight = (inside == 255).astype(np.float32)
+    values = detail * weight
+    side = (0, 0)
+    near = np.maximum(cv2.GaussianBlur(weight, side, _CONTRAST_PIXELS), np.float32(1e-3))
+    variance = cv2.GaussianBlur(values * values, side, _CONTRAST_PIXELS) / near
+    floor = np.float32((_LEAST_CONTRAST_GRAY + _NOISE_TIMES * noise_gray) ** 2)
+    return np.asarray(values / np.sqrt(variance + floor), np.float32)
 
 
 def _noise(detail: NDArray[np.float32], inside: NDArray[np.uint8]) -> float:

@@ -9,7 +9,7 @@ are estimated with the motion, held by how much they are expected to vary.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _MOST_ITERATIONS = 12
 _CONVERGED_PIXELS = 0.003
 _LEAST_TEMPLATE_PIXELS = 200
+_SAMPLE_POINTS = 4000
 _HUBER_SIGMAS = 1.5
 # On a floor of plain lines nearly every pixel fits while a line's end, which alone tells how far
 # the robot went along it, does not: it must not pass for an outlier. Noise is taken to be at least
@@ -39,7 +40,7 @@ _LEAST_INFORMATION = 1e-8
 _CHANCE_SIGMAS = 2.0
 # The stairs of a line's edge in the camera's pixels, and the blocks of a JPEG, move with the camera
 # and not with the floor: such a share of an edge's gradient along it tells nothing.
-_STAIRS = 0.02
+_STAIRS = 0.01
 # Neighbouring residuals are not independent: interpolation and blur tie about this many together.
 _CORRELATED_PIXELS = 48.0
 _REMAP_COLUMNS = 256
@@ -110,16 +111,32 @@ def refine(
     for level_a, level_b in zip(reversed(levels_a), reversed(levels_b), strict=True):
         if len(level_a.points) < _LEAST_TEMPLATE_PIXELS:
             return None
-        refined = _refine_level(level_a, level_b, state, calibration, sigmas, known)
-        if refined is None:
-            return None
-        state, covariance = refined
+        # A sample of the points brings the motion to where all of them finish it in a step or two.
+        samples = [_sampled(level_a)] if len(level_a.points) > _SAMPLE_POINTS else []
+        if level_a is levels_a[0]:
+            samples.append(level_a)
+        for sample in samples or [level_a]:
+            refined = _refine_level(sample, level_b, state, calibration, sigmas, known)
+            if refined is None:
+                return None
+            state, covariance = refined
     moved = (a_from_b.inverse() @ state.a_from_b).translation_length
     if covariance is None or moved > _MOST_SHIFT_PIXELS * levels_a[-1].metres_per_pixel:
         return None
     shown_a = _shown_from_floor(calibration, state.mounting_a)
     shown_b = _shown_from_floor(calibration, state.mounting_b)
     return Refinement(state.a_from_b, covariance, shown_a @ state.a_from_b.matrix @ invert(shown_b))
+
+
+def _sampled(level: DenseLevel) -> DenseLevel:
+    """Return a level with some of its points, evenly taken."""
+    step = -(-len(level.points) // _SAMPLE_POINTS)
+    return replace(
+        level,
+        points=level.points[::step],
+        values=level.values[::step],
+        gradients=level.gradients[::step],
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

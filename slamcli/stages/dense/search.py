@@ -22,11 +22,6 @@ if TYPE_CHECKING:
     from slamcli.core.records import DenseLevel
 
 _STEP_RADIANS = math.radians(4.0)
-_CONTRAST_PIXELS = 5.0
-# What is flatter than this is noise; its contrast is not to be raised to that of a line. It is not
-# measured by the picture's own contrast, which may be that of a dark thing on a pale floor.
-_LEAST_CONTRAST_GRAY = 1.0
-_NOISE_TIMES = 3.0
 # An overlap in which hardly anything is to be seen correlates by chance: this share of the whole
 # picture's contrast is added to each overlap's.
 _SEARCH_CONTRAST_PRIOR = 0.1
@@ -112,8 +107,8 @@ def search(
     count : int
         Most candidates.
     """
-    values_a, weight_a = _normalised(a)
-    values_b, weight_b = _normalised(b)
+    values_a, weight_a = a.normalised, _weight(a)
+    values_b, weight_b = b.normalised, _weight(b)
     seen = min(float(weight_a.sum()), float(weight_b.sum()))
     least = max(min_overlap * seen, _LEAST_PIXELS)
     middle = _middle_of(weight_b)
@@ -160,8 +155,8 @@ def evidence(
     view_a_from_view_b : (3, 3) float64
         Metres to metres: that motion, or a `Refinement`'s.
     """
-    values_a, weight_a = _normalised(a)
-    values_b, weight_b = _normalised(b)
+    values_a, weight_a = a.normalised, _weight(a)
+    values_b, weight_b = b.normalised, _weight(b)
     b_from_a_pixel = invert(view_a_from_view_b) @ invert(a.pixel_from_metres)
     mapping = b.pixel_from_metres @ b_from_a_pixel
     size = (values_a.shape[1], values_a.shape[0])
@@ -183,15 +178,9 @@ def evidence(
     return Candidate(a_from_b, value, pixels / seen, float(_evidence(value, pixels)))
 
 
-def _normalised(level: DenseLevel) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return a level with its local contrast evened out, and where it is seen (0 or 1)."""
-    weight = (level.inside == 255).astype(np.float32)
-    detail = level.detail * weight
-    side = (0, 0)
-    near = np.maximum(cv2.GaussianBlur(weight, side, _CONTRAST_PIXELS), np.float32(1e-3))
-    variance = cv2.GaussianBlur(detail * detail, side, _CONTRAST_PIXELS) / near
-    floor = np.float32((_LEAST_CONTRAST_GRAY + _NOISE_TIMES * level.noise_gray) ** 2)
-    return np.asarray(detail / np.sqrt(variance + floor), np.float32), weight
+def _weight(level: DenseLevel) -> NDArray[np.float32]:
+    weight: NDArray[np.float32] = (level.inside == 255).astype(np.float32)
+    return weight
 
 
 def _energy(values: NDArray[np.float32], weight: NDArray[np.float32]) -> float:
