@@ -181,6 +181,27 @@ class Prepared:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Keyframe:
+    """A frame as it is kept for as long as the map lasts, to be compared with later ones.
+
+    Attributes
+    ----------
+    index, name, stamp
+        Of the frame.
+    features : Features
+    image, mask : bytes
+        Of its view at half resolution, as JPEG and PNG.
+    """
+
+    index: int
+    name: str
+    stamp: float | None
+    features: Features
+    image: bytes
+    mask: bytes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class View:
     """A bird's-eye picture of the floor.
 

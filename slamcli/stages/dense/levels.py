@@ -13,6 +13,7 @@ from slamcli.core.records import DenseLevel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from slamcli.core.geometry import Grid
     from slamcli.core.records import View
 
 # From half the view's resolution on, which already resolves hundredths of a pixel, down to where a
@@ -24,6 +25,8 @@ _MOST_TEMPLATE_PIXELS = 15_000
 _HIGH_PASS_PIXELS = 25
 _LEAST_WINDOW_SHARE = 0.7
 _SAMPLE_STEP = 16
+# pyrDown keeps even pixels, so a level's pixel is half the one before's.
+_HALVE = np.diag([0.5, 0.5, 1.0])
 # So much is added first, as the noise of the dark would else be all there is to see.
 _DARK_GRAY = 16.0
 # In gray levels at the middle of the range.
@@ -35,37 +38,62 @@ def make_levels(view: View) -> tuple[DenseLevel, ...]:
 
     The last level is small enough to be searched whole.
     """
-    image, mask = view.image, view.mask
-    pixel_from_metres, scale = view.grid.pixel_from_metres, view.grid.metres_per_pixel
-    levels: list[DenseLevel] = []
+    return levels_from_half(_halved(view.image), _halved(view.mask), view.grid)
+
+
+def levels_from_half(
+    image: NDArray[np.uint8], mask: NDArray[np.uint8], grid: Grid
+) -> tuple[DenseLevel, ...]:
+    """Return the pyramid of a view of which only its first level, at half resolution, is kept.
+
+    Parameters
+    ----------
+    image, mask : (h, w) uint8
+    grid : Grid
+        Of the whole view.
+    """
+    pixel_from_metres, metres_per_pixel = (
+        _HALVE @ grid.pixel_from_metres,
+        2.0 * grid.metres_per_pixel,
+    )
+    levels = [_level(image, mask, pixel_from_metres, metres_per_pixel)]
     while len(levels) < _MOST_LEVELS and (
         len(levels) < _LEAST_LEVELS or np.count_nonzero(mask == 255) > _MOST_COARSEST_PIXELS
     ):
-        # pyrDown keeps even pixels, so a level's pixel is half the one before's.
-        image = np.asarray(cv2.pyrDown(image), np.uint8)
-        mask = np.asarray(cv2.pyrDown(mask), np.uint8)
-        pixel_from_metres, scale = np.diag([0.5, 0.5, 1.0]) @ pixel_from_metres, 2.0 * scale
-        detail, inside = _detail(image, mask)
-        right, up = slopes(detail, scale)
-        chosen = _most_telling(np.where(inside == 255, right * right + up * up, np.float32(0.0)))
-        rows, columns = np.unravel_index(chosen, detail.shape)
-        points = apply_homography(invert(pixel_from_metres), np.column_stack([columns, rows]))
-        gradients = np.column_stack([right.ravel()[chosen], up.ravel()[chosen]]).astype(np.float64)
-        values = detail.ravel()[chosen].astype(np.float64)
-        levels.append(
-            DenseLevel(
-                pixel_from_metres,
-                scale,
-                image,
-                mask,
-                detail,
-                inside,
-                points,
-                values,
-                gradients,
-            )
-        )
+        image, mask = _halved(image), _halved(mask)
+        pixel_from_metres, metres_per_pixel = _HALVE @ pixel_from_metres, 2.0 * metres_per_pixel
+        levels.append(_level(image, mask, pixel_from_metres, metres_per_pixel))
     return tuple(levels)
+
+
+def _halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.asarray(cv2.pyrDown(picture), np.uint8)
+
+
+def _level(
+    image: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
+    pixel_from_metres: NDArray[np.float64],
+    metres_per_pixel: float,
+) -> DenseLevel:
+    detail, inside = _detail(image, mask)
+    right, up = slopes(detail, metres_per_pixel)
+    chosen = _most_telling(np.where(inside == 255, right * right + up * up, np.float32(0.0)))
+    rows, columns = np.unravel_index(chosen, detail.shape)
+    points = apply_homography(invert(pixel_from_metres), np.column_stack([columns, rows]))
+    gradients = np.column_stack([right.ravel()[chosen], up.ravel()[chosen]]).astype(np.float64)
+    values = detail.ravel()[chosen].astype(np.float64)
+    return DenseLevel(
+        pixel_from_metres,
+        metres_per_pixel,
+        image,
+        mask,
+        detail,
+        inside,
+        points,
+        values,
+        gradients,
+    )
 
 
 def _detail(
