@@ -10,7 +10,6 @@ against one another.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -20,20 +19,19 @@ from slamcli.comparison import compare
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Frame, Link, PoseEstimate, Prepared
-from slamcli.stages import dense, features, posegraph, view
+from slamcli.core.records import Frame, Prepared
+from slamcli.graph import Graph, lost
+from slamcli.loops import Loops
+from slamcli.stages import dense, features, view
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from numpy.typing import NDArray
 
     from slamcli.comparison import Trial
-    from slamcli.core.records import Calibration
+    from slamcli.core.records import Calibration, Link, PoseEstimate
 
 # Frames so near in time may be searched for anywhere in each other.
 _MOST_UNGUIDED_STEPS = 2
-_SAME_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
 
 
 class Mapper:
@@ -53,25 +51,24 @@ class Mapper:
         )
         self._tilt = math.radians(self.options.tilt_sigma_degrees)
         self._resampler = view.make_view_resampler(calibration, self.metres_per_pixel)
-        self._estimates: dict[int, PoseEstimate] = {}
+        self._graph = Graph()
+        self._loops = Loops(calibration, self.options, self._resampler.grid)
         self._keyframes: list[Prepared] = []
         self._latest: Prepared | None = None
         self._motion: Pose2 | None = None
         self._moved_at = 0
         self._stray: Prepared | None = None
         self._trials: list[Trial] = []
-        self._links: list[Link] = []
-        self._next_fragment = 0
 
     @property
     def estimates(self) -> list[PoseEstimate]:
         """One for every frame so far, in order, as revised by all that followed."""
-        return [self._estimates[index] for index in sorted(self._estimates)]
+        return self._graph.estimates
 
     @property
     def links(self) -> list[Link]:
         """Every measured motion between two frames, in the order of their making."""
-        return list(self._links)
+        return list(self._graph.links)
 
     @property
     def trials(self) -> list[Trial]:
@@ -86,7 +83,7 @@ class Mapper:
         frame : Frame, or (H, W[, 3]) uint8 BGR or gray pixels of the next one
         """
         if not isinstance(frame, Frame):
-            index = max(self._estimates, default=-1) + 1
+            index = self._graph.next_index
             frame = Frame(index, f"frame {index}", None, frame)
         return self.step(self.prepare(frame))
 
@@ -111,33 +108,35 @@ class Mapper:
         The refusal is an estimate too, lost and not kept.
         """
         self._trials = []
-        if prepared.index in self._estimates:
-            return _lost(prepared, f"frame index {prepared.index} came before; give a new one")
+        if prepared.index in self._graph:
+            return lost(prepared, f"frame index {prepared.index} came before; give a new one")
         if prepared.view is None or prepared.features is None:
-            return self._lose(prepared, prepared.reason)
+            return self._graph.lose(prepared, prepared.reason)
         before, self._latest = self._latest, prepared
         if before is not None and _same_picture(before, prepared):
-            return self._repeat(before, prepared)
+            return self._graph.repeat(before, prepared)
         found, needed = len(prepared.features), self.options.matching.min_inliers
         if found < needed and not self.options.dense:
-            return self._lose(prepared, f"{found} features; at least {needed} are needed")
+            return self._graph.lose(prepared, f"{found} features; at least {needed} are needed")
         trials = self._trials = self._compare(prepared, before)
         if any(trial.link is not None for trial in trials):
             return self._place(prepared, trials)
         if not self._keyframes:
             return self._begin_fragment(prepared)
+        recognised = self._loops.recognise(prepared, self._graph) if self.options.loops else []
+        if recognised:
+            self._trials = [*trials, *recognised]
+            return self._place(prepared, recognised)
         if self._stray is not None:
             trial = self._try(self._stray, prepared, window=self._stray_window(prepared))
             self._trials = [*trials, trial]
             if trial.link is not None:
                 stray, self._stray = self._stray, None
                 self._begin_fragment(stray)
-                placed = self._place(prepared, [trial])
-                placed = replace(placed, revised=(*placed.revised, stray.index))
-                self._estimates[prepared.index] = placed
-                return placed
+                self._place(prepared, [trial])
+                return self._graph.revise(prepared.index, (stray.index,))
         self._stray = prepared
-        return self._lose(prepared, _telling(trials).reason)
+        return self._graph.lose(prepared, _telling(trials).reason)
 
     def finish(self) -> list[PoseEstimate]:
         """Weigh all links against one another and return every frame's final estimate.
@@ -146,15 +145,10 @@ class Mapper:
         down, and each has its first frame as its origin. A frame that nothing ties to any other
         is lost.
         """
-        placed = [e.index for e in self._estimates.values() if e.map_from_robot is not None]
-        groups = posegraph.components(placed, self._links)
-        linked = [group for group in groups if len(group) > 1] or groups[:1]
-        for group in groups:
-            if group not in linked:
-                self._unplace(group[0])
-        linked.sort(key=lambda group: (-len(group), group[0]))
-        for fragment, group in enumerate(linked):
-            self._solve(group, fragment)
+        self._graph.solve()
+        while self.options.loops and (found := self._loops.close(self._graph)):
+            self._graph.links += found
+            self._graph.solve()
         return self.estimates
 
     def _compare(self, prepared: Prepared, before: Prepared | None) -> list[Trial]:
@@ -189,7 +183,7 @@ class Mapper:
         if not self._keyframes:
             return []
         recent = self._keyframes[-1]
-        if before is not None and self._estimates[before.index].map_from_robot is not None:
+        if before is not None and self._graph.is_placed(before.index):
             recent = before
         attempts: list[tuple[Pose2 | None, dense.Window | None]] = []
         window = self._window(recent, prepared)
@@ -244,11 +238,7 @@ class Mapper:
 
     def _motion_from(self, keyframe: Prepared) -> Pose2:
         """Return ``keyframe_from_latest`` of the frame whose motion is the latest known."""
-        latest = self._estimates[self._moved_at].map_from_robot
-        known = self._estimates[keyframe.index].map_from_robot
-        assert latest is not None
-        assert known is not None
-        return known.inverse() @ latest
+        return self._graph.pose(keyframe.index).inverse() @ self._graph.pose(self._moved_at)
 
     def _try(
         self,
@@ -263,144 +253,46 @@ class Mapper:
     def _predict(self, believed: Trial, keyframe: Prepared) -> Pose2 | None:
         """Return ``keyframe_from_now`` by way of a believed trial; None for another fragment."""
         assert believed.link is not None
-        known, other = self._estimates[believed.keyframe.index], self._estimates[keyframe.index]
-        if known.fragment != other.fragment:
+        known, other = believed.keyframe.index, keyframe.index
+        if self._graph[known].fragment != self._graph[other].fragment:
             return None
-        assert known.map_from_robot is not None
-        assert other.map_from_robot is not None
-        other_from_known = other.map_from_robot.inverse() @ known.map_from_robot
+        other_from_known = self._graph.pose(other).inverse() @ self._graph.pose(known)
         return other_from_known @ believed.link.a_from_b
 
     def _place(self, prepared: Prepared, trials: list[Trial]) -> PoseEstimate:
         """Place a frame by its believed links; a keyframe if it shows enough new floor."""
         believed = [trial for trial in trials if trial.link is not None]
-        best = min(believed, key=lambda trial: _uncertainty(trial.link))
-        link = best.link
-        assert link is not None
-        origin = self._estimates[link.a]
-        assert origin.map_from_robot is not None
-        assert origin.covariance is not None
-        self._links += [trial.link for trial in believed if trial.link is not None]
-        estimate = PoseEstimate(
-            prepared.index,
-            prepared.name,
-            prepared.stamp,
-            origin.map_from_robot @ link.a_from_b,
-            "tracked",
-            "",
-            origin.fragment,
-            posegraph.compose_covariance(origin.covariance, link.a_from_b, link.covariance),
-            link.inliers,
-            link.score,
-        )
-        before = self._estimates.get(prepared.index - 1)
+        links = [trial.link for trial in believed if trial.link is not None]
+        estimate = self._graph.place(prepared, links)
+        before = self._graph.get(prepared.index - 1)
         self._motion = None
         if before is not None and before.fragment == estimate.fragment:
-            assert before.map_from_robot is not None
-            assert estimate.map_from_robot is not None
-            self._motion = before.map_from_robot.inverse() @ estimate.map_from_robot
+            start = self._graph.pose(before.index)
+            self._motion = start.inverse() @ self._graph.pose(prepared.index)
             self._moved_at = prepared.index
-        self._estimates[prepared.index] = estimate
         self._stray = None
-        if max(trial.overlap for trial in believed) < self.options.keyframe_overlap:
+        overlap = max(trial.overlap for trial in believed)
+        if overlap < self.options.keyframe_overlap or links[0].kind == "loop":
             self._add_keyframe(prepared)
-        if any(
-            self._estimates[trial.keyframe.index].fragment != origin.fragment for trial in believed
-        ):
-            estimate = self._join(prepared.index)
+            return self._rejoin(prepared)
         return estimate
 
-    def _join(self, index: int) -> PoseEstimate:
-        """Re-solve the component that a link between two fragments has just connected."""
-        placed = [e.index for e in self._estimates.values() if e.map_from_robot is not None]
-        groups = posegraph.components(placed, self._links)
-        group = next(group for group in groups if index in group)
-        self._solve(group, self._estimates[group[0]].fragment)
-        others = tuple(member for member in group if member != index)
-        self._estimates[index] = replace(self._estimates[index], revised=others)
-        return self._estimates[index]
-
-    def _solve(self, group: list[int], fragment: int) -> None:
-        """Solve one component, its first frame at the origin, and revise its estimates."""
-        initial = self._spread(group)
-        members = set(group)
-        solution = posegraph.solve(initial, [link for link in self._links if link.a in members])
-        for index in group:
-            self._estimates[index] = replace(
-                self._estimates[index],
-                map_from_robot=solution.poses[index],
-                covariance=solution.covariances[index],
-                fragment=fragment,
-            )
-
-    def _spread(self, group: list[int]) -> dict[int, Pose2]:
-        """Return first poses for a component by walking its links from its first frame."""
-        neighbours: dict[int, list[tuple[int, Pose2]]] = {index: [] for index in group}
-        for link in self._links:
-            if link.a in neighbours:
-                neighbours[link.a].append((link.b, link.a_from_b))
-                neighbours[link.b].append((link.a, link.a_from_b.inverse()))
-        poses = {group[0]: Pose2()}
-        queue = [group[0]]
-        for index in queue:
-            for other, pose in neighbours[index]:
-                if other not in poses:
-                    poses[other] = poses[index] @ pose
-                    queue.append(other)
-        return poses
+    def _rejoin(self, keyframe: Prepared) -> PoseEstimate:
+        """Tie a new keyframe to a map that it was apart from, if it recalls one."""
+        if self.options.loops:
+            found = self._loops.rejoin(keyframe, self._graph)
+            self._trials += found
+            self._graph.tie(keyframe.index, [t.link for t in found if t.link is not None])
+        return self._graph[keyframe.index]
 
     def _begin_fragment(self, prepared: Prepared) -> PoseEstimate:
-        """Make a frame the origin of a map of its own."""
-        estimate = PoseEstimate(
-            prepared.index,
-            prepared.name,
-            prepared.stamp,
-            Pose2(),
-            "tracked",
-            "",
-            self._next_fragment,
-            _SAME_POSE_COVARIANCE,
-        )
-        self._next_fragment += 1
-        self._estimates[prepared.index] = estimate
         self._add_keyframe(prepared)
-        return estimate
+        return self._graph.begin_fragment(prepared)
 
     def _add_keyframe(self, prepared: Prepared) -> None:
         self._keyframes.append(prepared)
+        self._loops.remember(prepared)
         del self._keyframes[: -self.options.recent_keyframes]
-
-    def _repeat(self, before: Prepared, prepared: Prepared) -> PoseEstimate:
-        """Give a frame that shows the same picture as the one before it the same estimate."""
-        known = self._estimates[before.index]
-        estimate = replace(
-            known,
-            index=prepared.index,
-            name=prepared.name,
-            stamp=prepared.stamp,
-            reason=known.reason or f"same picture as {before.name}",
-            revised=(),
-        )
-        self._estimates[prepared.index] = estimate
-        if known.map_from_robot is not None:
-            covariance = _SAME_POSE_COVARIANCE
-            self._links.append(
-                Link(before.index, prepared.index, Pose2(), covariance, 0, 1.0, "step")
-            )
-        return estimate
-
-    def _lose(self, prepared: Prepared, reason: str) -> PoseEstimate:
-        estimate = _lost(prepared, reason)
-        self._estimates[prepared.index] = estimate
-        return estimate
-
-    def _unplace(self, index: int) -> None:
-        """Take back a frame that started a map which no other frame joined."""
-        self._estimates[index] = _lost(self._estimates[index], "overlaps no other frame")
-
-
-def _lost(frame: Prepared | PoseEstimate, reason: str) -> PoseEstimate:
-    return PoseEstimate(frame.index, frame.name, frame.stamp, None, "lost", reason)
 
 
 def _telling(trials: list[Trial]) -> Trial:
@@ -412,17 +304,3 @@ def _same_picture(a: Prepared, b: Prepared) -> bool:
     assert a.view is not None
     assert b.view is not None
     return np.array_equal(a.view.image, b.view.image) and np.array_equal(a.view.mask, b.view.mask)
-
-
-def _uncertainty(link: Link | None) -> float:
-    assert link is not None
-    return float(np.linalg.det(link.covariance))
-
-
-def placed_fragments(estimates: Iterable[PoseEstimate]) -> dict[int, list[PoseEstimate]]:
-    """Return the placed frames by fragment, the fragments by number."""
-    fragments: dict[int, list[PoseEstimate]] = {}
-    for estimate in estimates:
-        if estimate.map_from_robot is not None:
-            fragments.setdefault(estimate.fragment, []).append(estimate)
-    return dict(sorted(fragments.items()))

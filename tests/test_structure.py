@@ -18,6 +18,7 @@ FLOORS = {
     "stages": 2,
     "io": 2,
     "comparison": 3,
+    "graph": 3,
     "keyframes": 3,
     "painter": 3,
     "loops": 4,

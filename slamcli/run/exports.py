@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from slamcli.core.errors import InputError
+from slamcli.graph import placed_fragments
 from slamcli.io.graphs import write_g2o
 from slamcli.io.trajectories import write_kitti, write_tum
-from slamcli.mapper import placed_fragments
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -11,11 +11,12 @@ from slamcli import __version__
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import apply_homography, invert, path_length
 from slamcli.core.records import Prepared
+from slamcli.graph import placed_fragments
 from slamcli.io import rasters, tables
 from slamcli.io.files import output_folder, write_image
 from slamcli.io.frames import read_frame
 from slamcli.io.poses import write_poses
-from slamcli.mapper import Mapper, placed_fragments
+from slamcli.mapper import Mapper
 from slamcli.painter import Painter
 from slamcli.run import exports
 from slamcli.run.executor import ordered

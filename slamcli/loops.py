@@ -1,0 +1,328 @@
+"""Floor seen before: candidates from poses and from appearance, compared before any is believed.
+
+A drive's keyframes are kept for good. Where the poses, as sure as they are, say that two of them
+see the same floor, they are compared near that guess. Where they do not say so (drift, or a robot
+that was carried elsewhere), a frame's points recall places, and the motion that they vote for is
+compared. A frame that recalls two places of one map with equal right is ambiguous: neither is
+believed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import accumulate, pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from slamcli.comparison import compare
+from slamcli.core.geometry import Pose2, invert, path_length, pose_array
+from slamcli.core.records import Prepared
+from slamcli.keyframes import Expander, compress
+from slamcli.stages import covisibility, posegraph
+from slamcli.stages.places import Place, PlaceIndex
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from slamcli.comparison import Trial
+    from slamcli.core.config import MapperOptions
+    from slamcli.core.geometry import Grid
+    from slamcli.core.records import Calibration, Keyframe, Link
+    from slamcli.graph import Graph
+
+# Of the way between two frames: what a calibration's errors add to it, which no link's covariance
+# knows of (one sigma).
+_DRIFT_SHARE = 0.01
+# Matches are looked for within so much of the range about a guess; sigmas of the guess to that.
+_GUESS_SHARE_OF_RANGE = 0.1
+_GUESS_SIGMAS = 2.0
+# A motion farther from what the poses say (chi-squared, 3 degrees of freedom, one in ten thousand)
+# is not believed, whatever the pixels say.
+_MOST_CONTRADICTION = 21.1
+_LEAST_OVERLAP = 0.2
+# So many loops are tried for a keyframe in a round, and none beside one that is closed already.
+_MOST_TRIED = 3
+_BESIDE = 1
+# Where no pose contradicts it, a motion needs so many times the usual inliers, and pixels that
+# agree well.
+_UNGUIDED_INLIERS = 3
+_UNGUIDED_SCORE = 0.5
+# So many spots of the map are compared with a frame that recalls them, from so many keyframes each.
+_MOST_SPOTS = 4
+_PLACES_OF_A_SPOT = 2
+# Two recalled places nearer than this, as a share of the range and in radians, are one spot.
+_SAME_SHARE_OF_RANGE = 0.1
+_SAME_RADIANS = 0.1
+
+
+class _Attempt(NamedTuple):
+    """Two keyframes to be compared, ``a_from_b`` as the poses have it, and how far to trust it."""
+
+    a: int
+    b: int
+    expected: Pose2
+    covariance: NDArray[np.float64]
+    guess: Pose2
+
+
+class Loops:
+    """Keeps a drive's keyframes and ties those that saw the same floor at different times.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    options : MapperOptions
+    grid : Grid
+        Of the views.
+    """
+
+    def __init__(self, calibration: Calibration, options: MapperOptions, grid: Grid) -> None:
+        self._calibration = calibration
+        # Floor that is seen again may lie at any angle.
+        self._options = replace(options, max_turn_degrees=180.0)
+        self._reach = _GUESS_SHARE_OF_RANGE * calibration.max_range_metres
+        self._footprint = covisibility.Footprint(calibration)
+        self._expander = Expander(grid)
+        self._index = PlaceIndex(options.matching.seed)
+        self._keyframes: dict[int, Keyframe] = {}
+        self._places_in_order: dict[int, int] = {}
+        self._recalled: dict[int, list[Place]] = {}
+        self._failed: dict[tuple[int, int], Pose2] = {}
+
+    @property
+    def keyframes(self) -> list[Keyframe]:
+        """All that are kept, in the order of their making."""
+        return list(self._keyframes.values())
+
+    def remember(self, keyframe: Keyframe | Prepared) -> None:
+        """Keep one more keyframe, and what it recalls of those before the latest few."""
+        kept = compress(keyframe) if isinstance(keyframe, Prepared) else keyframe
+        if kept.index in self._keyframes:
+            return
+        recalled = self._index.recall(kept.features, self._latest())
+        if recalled:
+            self._recalled[kept.index] = recalled
+        self._places_in_order[kept.index] = len(self._keyframes)
+        self._keyframes[kept.index] = kept
+        self._index.add(kept.index, kept.features)
+
+    def recognise(self, prepared: Prepared, graph: Graph) -> list[Trial]:
+        """Return believed comparisons of a frame, of which no pose is known, with a place.
+
+        The latest keyframes are not asked: the frame has just been compared with them.
+        """
+        assert prepared.features is not None
+        places = self._index.recall(prepared.features, self._latest())
+        return self._believe(prepared, places, graph)
+
+    def rejoin(self, prepared: Prepared, graph: Graph) -> list[Trial]:
+        """Return believed comparisons of a new keyframe with a place in another fragment."""
+        fragment = graph[prepared.index].fragment
+        places = [
+            place
+            for place in self._recalled.get(prepared.index, [])
+            if graph[place.keyframe].fragment != fragment
+        ]
+        return self._believe(prepared, places, graph)
+
+    def close(self, graph: Graph) -> list[Link]:
+        """Return the loops that one round finds by the graph's poses as they are."""
+        ties = _Ties(self._places_in_order, graph.links)
+        found: list[Link] = []
+        for attempts in (self._by_poses(graph), self._by_appearance(graph)):
+            for attempt in attempts:
+                link = None if ties.beside(attempt.a, attempt.b) else self._attempt(attempt)
+                if link is not None:
+                    ties.add(link)
+                    found.append(link)
+        return found + self._between_fragments(graph)
+
+    def _latest(self) -> frozenset[int]:
+        return frozenset(list(self._keyframes)[-self._options.recent_keyframes :])
+
+    def _believe(self, prepared: Prepared, places: Sequence[Place], graph: Graph) -> list[Trial]:
+        """Compare a frame with the spots that it recalls; return one spot's trials, or none."""
+        spots: list[list[Place]] = []
+        for place in places:
+            if not graph.is_placed(place.keyframe):
+                continue
+            spot = next((s for s in spots if self._same_spot(s[0], place, graph)), None)
+            if spot is None:
+                spots.append([place])
+            else:
+                spot.append(place)
+        believed = []
+        for spot in spots[:_MOST_SPOTS]:
+            trials = [self._unguided(prepared, place) for place in spot[:_PLACES_OF_A_SPOT]]
+            if good := [trial for trial in trials if trial is not None]:
+                believed.append(good)
+        return believed[0] if len(believed) == 1 else []
+
+    def _same_spot(self, first: Place, second: Place, graph: Graph) -> bool:
+        """Return whether two recalled places say the same of where the frame is.
+
+        Keyframes far apart in time may differ by what the map has drifted between them.
+        """
+        if graph[first.keyframe].fragment != graph[second.keyframe].fragment:
+            return False
+        one, other = (
+            graph.pose(place.keyframe) @ place.keyframe_from_now for place in (first, second)
+        )
+        apart = one.inverse() @ other
+        steps = abs(self._places_in_order[first.keyframe] - self._places_in_order[second.keyframe])
+        drift = _DRIFT_SHARE * steps
+        near = (_SAME_SHARE_OF_RANGE + drift) * self._calibration.max_range_metres
+        return apart.translation_length < near and abs(apart.theta) < _SAME_RADIANS + drift
+
+    def _unguided(self, prepared: Prepared, place: Place) -> Trial | None:
+        """Compare a frame with a place that it recalls; None when that is not to be believed."""
+        keyframe = self._expander.expand(self._keyframes[place.keyframe])
+        guess = place.keyframe_from_now
+        trial = compare(keyframe, prepared, guess, self._calibration, self._options)
+        link = trial.link
+        if link is None or not self._strong(trial, link):
+            return None
+        return replace(trial, link=replace(link, kind="loop"))
+
+    def _strong(self, trial: Trial, link: Link) -> bool:
+        needed = _UNGUIDED_INLIERS * self._options.matching.min_inliers
+        return (
+            trial.alignment.accepted
+            and trial.alignment.inlier_count >= needed
+            and link.score >= _UNGUIDED_SCORE
+        )
+
+    def _by_poses(self, graph: Graph) -> Iterator[_Attempt]:
+        """Yield pairs that see the same floor, if the poses are right, and surely enough so."""
+        for members in self._fragments(graph).values():
+            numbers = {index: number for number, index in enumerate(members)}
+            ties = [link for link in graph.links if link.a in numbers and link.b in numbers]
+            tied = np.array([(numbers[t.a], numbers[t.b]) for t in ties], np.int64).reshape(-1, 2)
+            candidates = covisibility.pairs(
+                pose_array([graph.pose(index) for index in members]),
+                tied,
+                np.array([_uncertainty(tie) for tie in ties]),
+                self._footprint,
+                least_overlap=_LEAST_OVERLAP,
+                most_uncertainty=self._reach / _GUESS_SIGMAS,
+            )
+            for pair in candidates:
+                b, tried = members[pair.b], 0
+                for a, motion, sigma in zip(pair.a, pair.a_from_b, pair.uncertainties, strict=True):
+                    gap = self._places_in_order[b] - self._places_in_order[members[a]]
+                    if gap <= self._options.recent_keyframes or tried == _MOST_TRIED:
+                        continue
+                    tried += 1
+                    expected = Pose2(*map(float, motion))
+                    covariance = self._doubt(float(sigma))
+                    yield _Attempt(members[a], b, expected, covariance, expected)
+
+    def _by_appearance(self, graph: Graph) -> Iterator[_Attempt]:
+        """Yield pairs of one fragment that look alike, where drift does not rule them out."""
+        for fragment, members in self._fragments(graph).items():
+            way = dict(zip(members, _ways([graph.pose(i) for i in members]), strict=True))
+            for b in members:
+                places = [p for p in self._recalled.get(b, []) if p.keyframe in way]
+                for place in places[:_MOST_TRIED]:
+                    expected = graph.pose(place.keyframe).inverse() @ graph.pose(b)
+                    known, other = graph[place.keyframe].covariance, graph[b].covariance
+                    assert known is not None
+                    assert other is not None
+                    drift = self._doubt(_DRIFT_SHARE * abs(way[b] - way[place.keyframe]))
+                    covariance = posegraph.compose_covariance(known, expected, other) + drift
+                    yield _Attempt(place.keyframe, b, expected, covariance, place.keyframe_from_now)
+
+    def _between_fragments(self, graph: Graph) -> list[Link]:
+        """Return the loops that tie keyframes to places in other fragments."""
+        if len(self._fragments(graph)) < 2:
+            return []
+        links = []
+        for index in self._recalled:
+            if graph.is_placed(index):
+                prepared = self._expander.expand(self._keyframes[index])
+                links += [t.link for t in self.rejoin(prepared, graph) if t.link is not None]
+        return links
+
+    def _fragments(self, graph: Graph) -> dict[int, list[int]]:
+        members: dict[int, list[int]] = {}
+        for index in self._keyframes:
+            if graph.is_placed(index):
+                members.setdefault(graph[index].fragment, []).append(index)
+        return members
+
+    def _doubt(self, sigma_metres: float) -> NDArray[np.float64]:
+        """Return the (3, 3) covariance of a motion that is known to so many metres within the range."""
+        sigma = max(sigma_metres, _DRIFT_SHARE * self._reach)
+        turn = sigma / self._calibration.max_range_metres
+        return np.diag([sigma, sigma, turn]) ** 2
+
+    def _attempt(self, attempt: _Attempt) -> Link | None:
+        """Compare two keyframes; None when nothing fits or it contradicts the poses."""
+        pair = attempt.a, attempt.b
+        failed = self._failed.get(pair)
+        if failed is not None and self._near(failed, attempt.guess):
+            return None
+        a, b = (self._expander.expand(self._keyframes[index]) for index in pair)
+        trial = compare(a, b, attempt.guess, self._calibration, self._options)
+        link = trial.link
+        surprising = not self._near(attempt.expected, attempt.guess)
+        if (
+            link is None
+            or (surprising and not self._strong(trial, link))
+            or _contradiction(attempt, link) > _MOST_CONTRADICTION
+        ):
+            self._failed[pair] = attempt.guess
+            return None
+        return replace(link, kind="loop")
+
+    def _near(self, first: Pose2, second: Pose2) -> bool:
+        """Return whether a comparison about one guess looks where one about another would."""
+        apart = first.inverse() @ second
+        return (
+            apart.translation_length < self._reach / _GUESS_SIGMAS
+            and abs(apart.theta) < _SAME_RADIANS
+        )
+
+
+class _Ties:
+    """Which keyframes links tie, to within a few keyframes' steps."""
+
+    def __init__(self, order: dict[int, int], links: Sequence[Link]) -> None:
+        self._order = order
+        self._tied: set[tuple[int, int]] = set()
+        for link in links:
+            if link.a in order and link.b in order:
+                self.add(link)
+
+    def add(self, link: Link) -> None:
+        self._tied.add((self._order[link.a], self._order[link.b]))
+
+    def beside(self, a: int, b: int) -> bool:
+        """Return whether b is tied to a already, or to a keyframe right before or after it."""
+        place, other = self._order[a], self._order[b]
+        return any(
+            (place + step, other) in self._tied or (other, place + step) in self._tied
+            for step in range(-_BESIDE, _BESIDE + 1)
+        )
+
+
+def _uncertainty(link: Link) -> float:
+    """Return metres that a link may err by: its own sigma and a calibration's share."""
+    sigma = float(np.sqrt(np.linalg.eigvalsh(link.covariance[:2, :2])[1]))
+    return sigma + _DRIFT_SHARE * link.a_from_b.translation_length
+
+
+def _ways(poses: Sequence[Pose2]) -> list[float]:
+    """Return the way driven up to each pose, metres."""
+    steps = [path_length(pair) for pair in pairwise(poses)]
+    return [0.0, *accumulate(steps)]
+
+
+def _contradiction(attempt: _Attempt, link: Link) -> float:
+    """Return the squared Mahalanobis distance of a measured motion from what the poses say."""
+    error = attempt.expected.inverse() @ link.a_from_b
+    vector = np.array([error.x, error.y, error.theta])
+    return float(vector @ invert(attempt.covariance + link.covariance) @ vector)
