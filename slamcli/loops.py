@@ -88,6 +88,7 @@ class Loops:
         self._expander = Expander(grid)
         self._index = PlaceIndex(options.matching.seed)
         self._keyframes: dict[int, Keyframe] = {}
+        self._order: list[int] = []
         self._places_in_order: dict[int, int] = {}
         self._recalled: dict[int, list[Place]] = {}
         self._failed: dict[tuple[int, int], Pose2] = {}
@@ -95,7 +96,7 @@ class Loops:
     @property
     def keyframes(self) -> list[Keyframe]:
         """All that are kept, in the order of their making."""
-        return list(self._keyframes.values())
+        return [self._keyframes[index] for index in self._order]
 
     def remember(self, keyframe: Keyframe | Prepared) -> None:
         """Keep one more keyframe, and what it recalls of those before the latest few."""
@@ -105,7 +106,8 @@ class Loops:
         recalled = self._index.recall(kept.features, self._latest())
         if recalled:
             self._recalled[kept.index] = recalled
-        self._places_in_order[kept.index] = len(self._keyframes)
+        self._places_in_order[kept.index] = len(self._order)
+        self._order.append(kept.index)
         self._keyframes[kept.index] = kept
         self._index.add(kept.index, kept.features)
 
@@ -141,7 +143,7 @@ class Loops:
         return found + self._between_fragments(graph)
 
     def _latest(self) -> frozenset[int]:
-        return frozenset(list(self._keyframes)[-self._options.recent_keyframes :])
+        return frozenset(self._order[-self._options.recent_keyframes :])
 
     def _believe(self, prepared: Prepared, places: Sequence[Place], graph: Graph) -> list[Trial]:
         """Compare a frame with the spots that it recalls; return one spot's trials, or none."""
@@ -222,7 +224,7 @@ class Loops:
 
     def _by_appearance(self, graph: Graph) -> Iterator[_Attempt]:
         """Yield pairs of one fragment that look alike, where drift does not rule them out."""
-        for fragment, members in self._fragments(graph).items():
+        for members in self._fragments(graph).values():
             way = dict(zip(members, _ways([graph.pose(i) for i in members]), strict=True))
             for b in members:
                 places = [p for p in self._recalled.get(b, []) if p.keyframe in way]
@@ -254,7 +256,7 @@ class Loops:
         return members
 
     def _doubt(self, sigma_metres: float) -> NDArray[np.float64]:
-        """Return the (3, 3) covariance of a motion that is known to so many metres within the range."""
+        """Return the (3, 3) covariance of a motion that errs by so much within the range."""
         sigma = max(sigma_metres, _DRIFT_SHARE * self._reach)
         turn = sigma / self._calibration.max_range_metres
         return np.diag([sigma, sigma, turn]) ** 2
