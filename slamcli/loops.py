@@ -3,35 +3,32 @@
 A drive's keyframes are kept for good. Where the poses, as sure as they are, say that two of them
 see the same floor, they are compared near that guess. Where they do not say so (drift, or a robot
 that was carried elsewhere), a frame's points recall places, and the motion that they vote for is
-compared. A frame that recalls two places of one map with equal right is ambiguous: neither is
-believed.
+compared (`slamcli.recognition`).
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from slamcli.comparison import compare
 from slamcli.core.geometry import Pose2, invert, path_length, pose_array
-from slamcli.core.records import Prepared
-from slamcli.keyframes import Expander, compress
+from slamcli.keyframes import compress
+from slamcli.recognition import Recogniser
 from slamcli.stages import covisibility, posegraph
-from slamcli.stages.places import Place, PlaceIndex
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from slamcli.comparison import Trial
     from slamcli.core.config import MapperOptions
     from slamcli.core.geometry import Grid
-    from slamcli.core.records import Calibration, Keyframe, Link
+    from slamcli.core.records import Calibration, Keyframe, Link, Prepared
     from slamcli.graph import Graph
+    from slamcli.recognition import Recognition
+    from slamcli.stages.places import Place
 
 # Of the way between two frames: what a calibration's errors add to it, which no link's covariance
 # knows of (one sigma).
@@ -46,15 +43,6 @@ _LEAST_OVERLAP = 0.2
 # So many loops are tried for a keyframe in a round, and none beside one that is closed already.
 _MOST_TRIED = 3
 _BESIDE = 1
-# Where no pose contradicts it, a motion needs so many times the usual inliers, and pixels that
-# agree well.
-_UNGUIDED_INLIERS = 3
-_UNGUIDED_SCORE = 0.5
-# So many spots of the map are compared with a frame that recalls them, from so many keyframes each.
-_MOST_SPOTS = 4
-_PLACES_OF_A_SPOT = 2
-# Two recalled places nearer than this, as a share of the range and in radians, are one spot.
-_SAME_SHARE_OF_RANGE = 0.1
 _SAME_RADIANS = 0.1
 
 
@@ -80,47 +68,39 @@ class Loops:
     """
 
     def __init__(self, calibration: Calibration, options: MapperOptions, grid: Grid) -> None:
-        self._calibration = calibration
-        # Floor that is seen again may lie at any angle.
-        self._options = replace(options, max_turn_degrees=180.0)
+        self._recent = options.recent_keyframes
+        self._range = calibration.max_range_metres
         self._reach = _GUESS_SHARE_OF_RANGE * calibration.max_range_metres
         self._footprint = covisibility.Footprint(calibration)
-        self._expander = Expander(grid)
-        self._index = PlaceIndex(options.matching.seed)
-        self._keyframes: dict[int, Keyframe] = {}
-        self._order: list[int] = []
-        self._places_in_order: dict[int, int] = {}
+        self._known = Recogniser(calibration, options, grid)
         self._recalled: dict[int, list[Place]] = {}
         self._failed: dict[tuple[int, int], Pose2] = {}
 
     @property
     def keyframes(self) -> list[Keyframe]:
         """All that are kept, in the order of their making."""
-        return [self._keyframes[index] for index in self._order]
+        return self._known.keyframes
 
-    def remember(self, keyframe: Keyframe | Prepared) -> None:
+    def remember(self, prepared: Prepared) -> None:
         """Keep one more keyframe, and what it recalls of those before the latest few."""
-        kept = compress(keyframe) if isinstance(keyframe, Prepared) else keyframe
-        if kept.index in self._keyframes:
+        if prepared.index in self._known:
             return
-        recalled = self._index.recall(kept.features, self._latest())
+        keyframe = compress(prepared)
+        recalled = self._known.recall(keyframe.features, self._latest())
         if recalled:
-            self._recalled[kept.index] = recalled
-        self._places_in_order[kept.index] = len(self._order)
-        self._order.append(kept.index)
-        self._keyframes[kept.index] = kept
-        self._index.add(kept.index, kept.features)
+            self._recalled[keyframe.index] = recalled
+        self._known.keep(keyframe)
 
-    def recognise(self, prepared: Prepared, graph: Graph) -> list[Trial]:
+    def recognise(self, prepared: Prepared, graph: Graph) -> Recognition:
         """Return believed comparisons of a frame, of which no pose is known, with a place.
 
         The latest keyframes are not asked: the frame has just been compared with them.
         """
         assert prepared.features is not None
-        places = self._index.recall(prepared.features, self._latest())
-        return self._believe(prepared, places, graph)
+        places = self._known.recall(prepared.features, self._latest())
+        return self._known.believe(prepared, places, graph)
 
-    def rejoin(self, prepared: Prepared, graph: Graph) -> list[Trial]:
+    def rejoin(self, prepared: Prepared, graph: Graph) -> Recognition:
         """Return believed comparisons of a new keyframe with a place in another fragment."""
         fragment = graph[prepared.index].fragment
         places = [
@@ -128,11 +108,11 @@ class Loops:
             for place in self._recalled.get(prepared.index, [])
             if graph[place.keyframe].fragment != fragment
         ]
-        return self._believe(prepared, places, graph)
+        return self._known.believe(prepared, places, graph)
 
     def close(self, graph: Graph) -> list[Link]:
         """Return the loops that one round finds by the graph's poses as they are."""
-        ties = _Ties(self._places_in_order, graph.links)
+        ties = _Ties(self._known, graph.links)
         found: list[Link] = []
         for attempts in (self._by_poses(graph), self._by_appearance(graph)):
             for attempt in attempts:
@@ -143,59 +123,7 @@ class Loops:
         return found + self._between_fragments(graph)
 
     def _latest(self) -> frozenset[int]:
-        return frozenset(self._order[-self._options.recent_keyframes :])
-
-    def _believe(self, prepared: Prepared, places: Sequence[Place], graph: Graph) -> list[Trial]:
-        """Compare a frame with the spots that it recalls; return one spot's trials, or none."""
-        spots: list[list[Place]] = []
-        for place in places:
-            if not graph.is_placed(place.keyframe):
-                continue
-            spot = next((s for s in spots if self._same_spot(s[0], place, graph)), None)
-            if spot is None:
-                spots.append([place])
-            else:
-                spot.append(place)
-        believed = []
-        for spot in spots[:_MOST_SPOTS]:
-            trials = [self._unguided(prepared, place) for place in spot[:_PLACES_OF_A_SPOT]]
-            if good := [trial for trial in trials if trial is not None]:
-                believed.append(good)
-        return believed[0] if len(believed) == 1 else []
-
-    def _same_spot(self, first: Place, second: Place, graph: Graph) -> bool:
-        """Return whether two recalled places say the same of where the frame is.
-
-        Keyframes far apart in time may differ by what the map has drifted between them.
-        """
-        if graph[first.keyframe].fragment != graph[second.keyframe].fragment:
-            return False
-        one, other = (
-            graph.pose(place.keyframe) @ place.keyframe_from_now for place in (first, second)
-        )
-        apart = one.inverse() @ other
-        steps = abs(self._places_in_order[first.keyframe] - self._places_in_order[second.keyframe])
-        drift = _DRIFT_SHARE * steps
-        near = (_SAME_SHARE_OF_RANGE + drift) * self._calibration.max_range_metres
-        return apart.translation_length < near and abs(apart.theta) < _SAME_RADIANS + drift
-
-    def _unguided(self, prepared: Prepared, place: Place) -> Trial | None:
-        """Compare a frame with a place that it recalls; None when that is not to be believed."""
-        keyframe = self._expander.expand(self._keyframes[place.keyframe])
-        guess = place.keyframe_from_now
-        trial = compare(keyframe, prepared, guess, self._calibration, self._options)
-        link = trial.link
-        if link is None or not self._strong(trial, link):
-            return None
-        return replace(trial, link=replace(link, kind="loop"))
-
-    def _strong(self, trial: Trial, link: Link) -> bool:
-        needed = _UNGUIDED_INLIERS * self._options.matching.min_inliers
-        return (
-            trial.alignment.accepted
-            and trial.alignment.inlier_count >= needed
-            and link.score >= _UNGUIDED_SCORE
-        )
+        return frozenset(self._known.order[-self._recent :])
 
     def _by_poses(self, graph: Graph) -> Iterator[_Attempt]:
         """Yield pairs that see the same floor, if the poses are right, and surely enough so."""
@@ -214,8 +142,8 @@ class Loops:
             for pair in candidates:
                 b, tried = members[pair.b], 0
                 for a, motion, sigma in zip(pair.a, pair.a_from_b, pair.uncertainties, strict=True):
-                    gap = self._places_in_order[b] - self._places_in_order[members[a]]
-                    if gap <= self._options.recent_keyframes or tried == _MOST_TRIED:
+                    steps = self._known.steps_between(members[a], b)
+                    if steps <= self._recent or tried == _MOST_TRIED:
                         continue
                     tried += 1
                     expected = Pose2(*map(float, motion))
@@ -244,13 +172,13 @@ class Loops:
         links = []
         for index in self._recalled:
             if graph.is_placed(index):
-                prepared = self._expander.expand(self._keyframes[index])
-                links += [t.link for t in self.rejoin(prepared, graph) if t.link is not None]
+                found = self.rejoin(self._known.expand(index), graph)
+                links += [trial.link for trial in found.trials if trial.link is not None]
         return links
 
     def _fragments(self, graph: Graph) -> dict[int, list[int]]:
         members: dict[int, list[int]] = {}
-        for index in self._keyframes:
+        for index in self._known.order:
             if graph.is_placed(index):
                 members.setdefault(graph[index].fragment, []).append(index)
         return members
@@ -258,7 +186,7 @@ class Loops:
     def _doubt(self, sigma_metres: float) -> NDArray[np.float64]:
         """Return the (3, 3) covariance of a motion that errs by so much within the range."""
         sigma = max(sigma_metres, _DRIFT_SHARE * self._reach)
-        turn = sigma / self._calibration.max_range_metres
+        turn = sigma / self._range
         return np.diag([sigma, sigma, turn]) ** 2
 
     def _attempt(self, attempt: _Attempt) -> Link | None:
@@ -267,18 +195,16 @@ class Loops:
         failed = self._failed.get(pair)
         if failed is not None and self._near(failed, attempt.guess):
             return None
-        a, b = (self._expander.expand(self._keyframes[index]) for index in pair)
-        trial = compare(a, b, attempt.guess, self._calibration, self._options)
-        link = trial.link
+        trial = self._known.compare(attempt.a, self._known.expand(attempt.b), attempt.guess)
         surprising = not self._near(attempt.expected, attempt.guess)
         if (
-            link is None
-            or (surprising and not self._strong(trial, link))
-            or _contradiction(attempt, link) > _MOST_CONTRADICTION
+            trial.link is None
+            or (surprising and not self._known.is_strong(trial))
+            or _contradiction(attempt, trial.link) > _MOST_CONTRADICTION
         ):
             self._failed[pair] = attempt.guess
             return None
-        return replace(link, kind="loop")
+        return trial.link
 
     def _near(self, first: Pose2, second: Pose2) -> bool:
         """Return whether a comparison about one guess looks where one about another would."""
@@ -290,24 +216,23 @@ class Loops:
 
 
 class _Ties:
-    """Which keyframes links tie, to within a few keyframes' steps."""
+    """Which keyframes links tie, to within a keyframe's step."""
 
-    def __init__(self, order: dict[int, int], links: Sequence[Link]) -> None:
-        self._order = order
-        self._tied: set[tuple[int, int]] = set()
+    def __init__(self, known: Recogniser, links: Sequence[Link]) -> None:
+        self._known = known
+        self._tied: dict[int, list[int]] = {}
         for link in links:
-            if link.a in order and link.b in order:
+            if link.a in known and link.b in known:
                 self.add(link)
 
     def add(self, link: Link) -> None:
-        self._tied.add((self._order[link.a], self._order[link.b]))
+        self._tied.setdefault(link.a, []).append(link.b)
+        self._tied.setdefault(link.b, []).append(link.a)
 
     def beside(self, a: int, b: int) -> bool:
         """Return whether b is tied to a already, or to a keyframe right before or after it."""
-        place, other = self._order[a], self._order[b]
         return any(
-            (place + step, other) in self._tied or (other, place + step) in self._tied
-            for step in range(-_BESIDE, _BESIDE + 1)
+            abs(self._known.steps_between(other, a)) <= _BESIDE for other in self._tied.get(b, [])
         )
 
 

@@ -123,20 +123,7 @@ class Mapper:
             return self._place(prepared, trials)
         if not self._keyframes:
             return self._begin_fragment(prepared)
-        recognised = self._loops.recognise(prepared, self._graph) if self.options.loops else []
-        if recognised:
-            self._trials = [*trials, *recognised]
-            return self._place(prepared, recognised)
-        if self._stray is not None:
-            trial = self._try(self._stray, prepared, window=self._stray_window(prepared))
-            self._trials = [*trials, trial]
-            if trial.link is not None:
-                stray, self._stray = self._stray, None
-                self._begin_fragment(stray)
-                self._place(prepared, [trial])
-                return self._graph.revise(prepared.index, (stray.index,))
-        self._stray = prepared
-        return self._graph.lose(prepared, _telling(trials).reason)
+        return self._recover(prepared, trials)
 
     def finish(self) -> list[PoseEstimate]:
         """Weigh all links against one another and return every frame's final estimate.
@@ -150,6 +137,24 @@ class Mapper:
             self._graph.links += found
             self._graph.solve()
         return self.estimates
+
+    def _recover(self, prepared: Prepared, trials: list[Trial]) -> PoseEstimate:
+        """Look for a frame that fits no recent one on the whole map, then beside the latest stray."""
+        if self.options.loops:
+            recognised = list(self._loops.recognise(prepared, self._graph).trials)
+            if recognised:
+                self._trials = [*trials, *recognised]
+                return self._place(prepared, recognised)
+        if self._stray is not None:
+            trial = self._try(self._stray, prepared, window=self._stray_window(prepared))
+            self._trials = [*trials, trial]
+            if trial.link is not None:
+                stray, self._stray = self._stray, None
+                self._begin_fragment(stray)
+                self._place(prepared, [trial])
+                return self._graph.revise(prepared.index, (stray.index,))
+        self._stray = prepared
+        return self._graph.lose(prepared, _telling(trials).reason)
 
     def _compare(self, prepared: Prepared, before: Prepared | None) -> list[Trial]:
         """Try the latest keyframes, newest first: all that overlap once one has been believed.
@@ -280,7 +285,7 @@ class Mapper:
     def _rejoin(self, keyframe: Prepared) -> PoseEstimate:
         """Tie a new keyframe to a map that it was apart from, if it recalls one."""
         if self.options.loops:
-            found = self._loops.rejoin(keyframe, self._graph)
+            found = self._loops.rejoin(keyframe, self._graph).trials
             self._trials += found
             self._graph.tie(keyframe.index, [t.link for t in found if t.link is not None])
         return self._graph[keyframe.index]
