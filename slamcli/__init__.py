@@ -19,12 +19,15 @@ if TYPE_CHECKING:
         CalibrationError,
         FrameError,
         InputError,
+        MapError,
         OutputError,
         SlamcliError,
     )
     from slamcli.core.geometry import Grid, Pose2
-    from slamcli.core.records import Calibration, Frame, Link, PoseEstimate
+    from slamcli.core.records import Calibration, FloorMap, Frame, Link, PoseEstimate
     from slamcli.io.calibrations import load_calibration
+    from slamcli.io.maps import load_map
+    from slamcli.locate import Locator
     from slamcli.mapper import Mapper
 
 __version__ = "0.1.0"
@@ -33,11 +36,14 @@ _HOMES = {
     "Calibration": "slamcli.core.records",
     "CalibrationError": "slamcli.core.errors",
     "FeatureOptions": "slamcli.core.config",
+    "FloorMap": "slamcli.core.records",
     "Frame": "slamcli.core.records",
     "FrameError": "slamcli.core.errors",
     "Grid": "slamcli.core.geometry",
     "InputError": "slamcli.core.errors",
     "Link": "slamcli.core.records",
+    "Locator": "slamcli.locate",
+    "MapError": "slamcli.core.errors",
     "Mapper": "slamcli.mapper",
     "MapperOptions": "slamcli.core.config",
     "MatchOptions": "slamcli.core.config",
@@ -46,17 +52,21 @@ _HOMES = {
     "PoseEstimate": "slamcli.core.records",
     "SlamcliError": "slamcli.core.errors",
     "load_calibration": "slamcli.io.calibrations",
+    "load_map": "slamcli.io.maps",
 }
 
 __all__ = [
     "Calibration",
     "CalibrationError",
     "FeatureOptions",
+    "FloorMap",
     "Frame",
     "FrameError",
     "Grid",
     "InputError",
     "Link",
+    "Locator",
+    "MapError",
     "Mapper",
     "MapperOptions",
     "MatchOptions",
@@ -66,6 +76,7 @@ __all__ = [
     "SlamcliError",
     "__version__",
     "load_calibration",
+    "load_map",
 ]
 
 

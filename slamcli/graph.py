@@ -71,17 +71,26 @@ class Graph:
             _estimate(prepared, Pose2(), fragment, SAME_POSE_COVARIANCE),
         )
 
+    def adopt(self, estimate: PoseEstimate) -> None:
+        """Take over what an earlier run knew of a frame."""
+        self._keep(estimate)
+        self._next_fragment = max(self._next_fragment, estimate.fragment + 1)
+
     def place(self, prepared: Prepared, links: Sequence[Link]) -> PoseEstimate:
         """Place a frame by the surest of its links; those to another fragment join the two."""
+        self._keep(self.where(prepared, links))
+        self.tie(prepared.index, links)
+        return self._estimates[prepared.index]
+
+    def where(self, prepared: Prepared, links: Sequence[Link]) -> PoseEstimate:
+        """Return where the surest of its links to known frames puts a frame, which is not kept."""
         link = min(links, key=_uncertainty)
         origin = self._estimates[link.a]
         assert origin.covariance is not None
         pose = self.pose(link.a) @ link.a_from_b
         covariance = posegraph.compose_covariance(origin.covariance, link.a_from_b, link.covariance)
         placed = _estimate(prepared, pose, origin.fragment, covariance)
-        self._keep(replace(placed, inliers=link.inliers, score=link.score))
-        self.tie(prepared.index, links)
-        return self._estimates[prepared.index]
+        return replace(placed, inliers=link.inliers, score=link.score)
 
     def tie(self, index: int, links: Sequence[Link]) -> None:
         """Add links of a placed frame; those to another fragment join the two."""

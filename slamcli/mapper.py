@@ -19,7 +19,7 @@ from slamcli.comparison import compare
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Frame, Prepared
+from slamcli.core.records import FloorMap, Frame, Prepared
 from slamcli.graph import Graph, lost
 from slamcli.loops import Loops
 from slamcli.stages import dense, features, view
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from slamcli.comparison import Trial
+    from slamcli.core.geometry import Grid
     from slamcli.core.records import Calibration, Link, PoseEstimate
 
 # Frames so near in time may be searched for anywhere in each other.
@@ -52,13 +53,18 @@ class Mapper:
         self._tilt = math.radians(self.options.tilt_sigma_degrees)
         self._resampler = view.make_view_resampler(calibration, self.metres_per_pixel)
         self._graph = Graph()
-        self._loops = Loops(calibration, self.options, self._resampler.grid)
+        self._loops = Loops(calibration, self.options, self.grid)
         self._keyframes: list[Prepared] = []
         self._latest: Prepared | None = None
         self._motion: Pose2 | None = None
         self._moved_at = 0
         self._stray: Prepared | None = None
         self._trials: list[Trial] = []
+
+    @property
+    def grid(self) -> Grid:
+        """Of the views that are matched, in the robot frame."""
+        return self._resampler.grid
 
     @property
     def estimates(self) -> list[PoseEstimate]:
@@ -139,7 +145,7 @@ class Mapper:
         return self.estimates
 
     def _recover(self, prepared: Prepared, trials: list[Trial]) -> PoseEstimate:
-        """Look for a frame that fits no recent one on the whole map, then beside the latest stray."""
+        """Look for a frame that fits no recent one on the whole map, then beside a stray."""
         if self.options.loops:
             recognised = list(self._loops.recognise(prepared, self._graph).trials)
             if recognised:
@@ -155,6 +161,20 @@ class Mapper:
                 return self._graph.revise(prepared.index, (stray.index,))
         self._stray = prepared
         return self._graph.lose(prepared, _telling(trials).reason)
+
+    def floor_map(self) -> FloorMap | None:
+        """Return what it takes to find oneself in the map so far; None while nothing is placed."""
+        kept = [k for k in self._loops.keyframes if self._graph.is_placed(k.index)]
+        if not kept:
+            return None
+        return FloorMap(
+            self.calibration,
+            self.options.features,
+            self.metres_per_pixel,
+            self.options.tilt_sigma_degrees,
+            tuple(kept),
+            tuple(self._graph[keyframe.index] for keyframe in kept),
+        )
 
     def _compare(self, prepared: Prepared, before: Prepared | None) -> list[Trial]:
         """Try the latest keyframes, newest first: all that overlap once one has been believed.

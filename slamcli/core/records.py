@@ -12,7 +12,7 @@ from slamcli.core.geometry import invert
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from slamcli.core.config import TransformModel
+    from slamcli.core.config import FeatureOptions, TransformModel
     from slamcli.core.geometry import Grid, Pose2
 
 DescriptorNorm = Literal["hamming", "hamming2", "l2"]
@@ -401,6 +401,33 @@ class PoseEstimate:
     inliers: int = 0
     score: float = float("nan")
     revised: tuple[int, ...] = field(default=())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FloorMap:
+    """What a finished drive leaves behind to find oneself by.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        Of the camera that made it.
+    features : FeatureOptions
+        How its points were found; a frame to be located is treated alike.
+    metres_per_pixel : float
+        Of the views.
+    tilt_sigma_degrees : float
+        By how much the camera's pitch varied.
+    keyframes : tuple of Keyframe
+    estimates : tuple of PoseEstimate
+        One for each keyframe, in the same order, all placed.
+    """
+
+    calibration: Calibration
+    features: FeatureOptions
+    metres_per_pixel: float
+    tilt_sigma_degrees: float
+    keyframes: tuple[Keyframe, ...]
+    estimates: tuple[PoseEstimate, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,6 +15,7 @@ from slamcli.graph import placed_fragments
 from slamcli.io import rasters, tables
 from slamcli.io.files import output_folder, write_image
 from slamcli.io.frames import read_frame
+from slamcli.io.maps import MAP_NAME, save_map
 from slamcli.io.poses import write_poses
 from slamcli.mapper import Mapper
 from slamcli.painter import Painter
@@ -48,6 +49,7 @@ PRODUCTS = (
     "poses.csv",
     "trajectory*.png",
     "run.toml",
+    MAP_NAME,
     *exports.PRODUCTS,
 )
 DEBUG_PRODUCTS = "matches"
@@ -116,6 +118,9 @@ def stitch(
         estimates = _locate(mapper, inputs, options, staging, progress)
         area = _write_maps(inputs, estimates, options, staging, progress)
         write_poses(staging / "poses.csv", estimates)
+        floor_map = mapper.floor_map()
+        if floor_map is not None:
+            save_map(staging / MAP_NAME, floor_map)
         seconds = time.monotonic() - started
         exports.write_exports(staging, options.export, estimates, mapper.links)
         _write_run(staging, inputs, options, estimates, mapper)
