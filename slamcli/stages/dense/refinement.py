@@ -34,6 +34,7 @@ _HUBER_SIGMAS = 1.5
 # the robot went along it, does not: it must not pass for an outlier. Noise is taken to be at least
 # this share of the contrast.
 _LEAST_NOISE_SHARE = 0.2
+_LEAST_LEFT_SHARE = 0.03
 _LEAST_INFORMATION = 1e-4
 _CHANCE_SIGMAS = 2.0
 # Neighbouring residuals are not independent: interpolation and blur tie about this many together.
@@ -183,7 +184,8 @@ def _refine_level(
         held = np.zeros(5 + 2 * count)
         if count:
             held[5:] = np.concatenate([state.mounting_a / sigmas, state.mounting_b / sigmas])
-        solved = _solve(jacobian, residual, prior, held, _LEAST_NOISE_SHARE * float(values.std()))
+        contrast = float(values.std())
+        solved = _solve(jacobian, residual, prior, held, _LEAST_NOISE_SHARE * contrast)
         if solved is None:
             return None
         step, weight = solved
@@ -196,8 +198,13 @@ def _refine_level(
         moved = math.hypot(step[0], step[1]) + abs(step[2]) * reach
         if moved < _CONVERGED_PIXELS * b.metres_per_pixel:
             break
-    solved_again = _covariance(b, jacobian, pixels, points, weight, prior)
-    return None if solved_again is None else (state, solved_again)
+    # What is left over tells how well the motion is known; the least noise is for outliers alone.
+    share = weight / weight.max()
+    left = math.sqrt(float(np.sum(share * residual**2) / np.sum(share)))
+    noise = max(left, _LEAST_LEFT_SHARE * contrast, 1e-6)
+    known = share / (noise**2 * _CORRELATED_PIXELS)
+    covariance = _covariance(b, jacobian, pixels, points, known, prior)
+    return None if covariance is None else (state, covariance)
 
 
 def _covariance(
@@ -223,15 +230,19 @@ def _covariance(
     middle = points.mean(axis=0)
     central[:2, 2] = middle[1], -middle[0]
     first, second = jacobian @ central, both @ central
-    information = first.T @ (second * weight[:, None])
-    information = (information + information.T) / 2.0 + np.diag(prior)
+    shared = first.T @ (second * weight[:, None])
+    unshared = (first - second).T @ ((first - second) * weight[:, None]) / 2.0
     scale = 1.0 / np.sqrt(np.maximum(np.sum(first**2 * weight[:, None], axis=0), 1e-12))
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    both_scales = np.outer(scale, scale)
+    information = ((shared + shared.T) / 2.0 + np.diag(prior)) * both_scales
+    values, vectors = np.linalg.eigh(information)
     if not np.isfinite(values).all():
         return None
-    # By chance alone the products of noise add up to this.
-    chance = _CHANCE_SIGMAS / math.sqrt(len(points))
-    values = np.maximum(values - chance, _LEAST_INFORMATION)
+    # The products of the two views' noise, and of either's with what both show, add up by chance
+    # to this; along a direction of which the views show nothing that is all there is.
+    noise = np.einsum("ki,kl,li->i", vectors, unshared * both_scales, vectors)
+    chance = np.sqrt((2.0 * np.maximum(values, 0.0) * noise + noise**2) / len(points))
+    values = np.maximum(values - _CHANCE_SIGMAS * chance, _LEAST_INFORMATION)
     covariance = (vectors / values) @ vectors.T * np.outer(scale, scale)
     return np.asarray((central @ covariance @ central.T)[:3, :3], np.float64)
 

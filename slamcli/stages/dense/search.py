@@ -189,8 +189,10 @@ def _normalised(level: DenseLevel) -> tuple[NDArray[np.float32], NDArray[np.floa
     side = (0, 0)
     near = np.maximum(cv2.GaussianBlur(weight, side, _CONTRAST_PIXELS), np.float32(1e-3))
     variance = cv2.GaussianBlur(detail * detail, side, _CONTRAST_PIXELS) / near
-    overall = math.sqrt(_energy(detail, weight))
-    floor = np.float32((_NOISE_GRAY + _NOISE_SHARE * overall) ** 2)
+    seen = variance[weight > 0]
+    # The median, as the contrast of one dark thing that stands there is not that of the floor.
+    typical = math.sqrt(float(np.median(seen))) if seen.size else 0.0
+    floor = np.float32((_NOISE_GRAY + _NOISE_SHARE * typical) ** 2)
     return np.asarray(detail / np.sqrt(variance + floor), np.float32), weight
 
 
