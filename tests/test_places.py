@@ -88,7 +88,7 @@ def test_the_same_points_in_another_order_on_the_floor_are_no_place() -> None:
 
 
 def test_a_look_up_reads_no_more_of_a_large_map_than_of_a_small_one() -> None:
-    """A bucket that all floors share, such as that of plain paint, is read so deep and no deeper."""
+    """A bucket that all floors share, as that of plain paint is, is read only so deep."""
     index = PlaceIndex()
     same = Features(
         np.random.default_rng(0).uniform(-1, 1, (200, 2)).astype(np.float32),
