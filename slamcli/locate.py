@@ -71,7 +71,6 @@ class Locator:
             return lost(prepared, prepared.reason)
         places = self._known.recall(prepared.features)
         found = self._known.believe(prepared, places, self._graph)
-        links = [trial.link for trial in found.trials if trial.link is not None]
-        if not links:
+        if found.trial is None or found.trial.link is None:
             return lost(prepared, found.reason)
-        return self._graph.where(prepared, links)
+        return self._graph.where(prepared, [found.trial.link])

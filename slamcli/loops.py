@@ -74,6 +74,7 @@ class Loops:
         self._footprint = covisibility.Footprint(calibration)
         self._known = Recogniser(calibration, options, grid)
         self._recalled: dict[int, list[Place]] = {}
+        self._asked: set[int] = set()
         self._failed: dict[tuple[int, int], Pose2] = {}
 
     @property
@@ -92,7 +93,7 @@ class Loops:
         self._known.keep(keyframe)
 
     def recognise(self, prepared: Prepared, graph: Graph) -> Recognition:
-        """Return believed comparisons of a frame, of which no pose is known, with a place.
+        """Find the place of a frame of which no pose is known.
 
         The latest keyframes are not asked: the frame has just been compared with them.
         """
@@ -101,7 +102,7 @@ class Loops:
         return self._known.believe(prepared, places, graph)
 
     def rejoin(self, prepared: Prepared, graph: Graph) -> Recognition:
-        """Return believed comparisons of a new keyframe with a place in another fragment."""
+        """Find the place of a new keyframe in another fragment than its own."""
         fragment = graph[prepared.index].fragment
         places = [
             place
@@ -170,10 +171,13 @@ class Loops:
         if len(self._fragments(graph)) < 2:
             return []
         links = []
-        for index in self._recalled:
+        # What a keyframe looks like does not change from round to round: each is asked once.
+        for index in [index for index in self._recalled if index not in self._asked]:
             if graph.is_placed(index):
-                found = self.rejoin(self._known.expand(index), graph)
-                links += [trial.link for trial in found.trials if trial.link is not None]
+                self._asked.add(index)
+                found = self.rejoin(self._known.expand(index), graph).trial
+                if found is not None and found.link is not None:
+                    links.append(found.link)
         return links
 
     def _fragments(self, graph: Graph) -> dict[int, list[int]]:

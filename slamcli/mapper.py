@@ -147,10 +147,10 @@ class Mapper:
     def _recover(self, prepared: Prepared, trials: list[Trial]) -> PoseEstimate:
         """Look for a frame that fits no recent one on the whole map, then beside a stray."""
         if self.options.loops:
-            recognised = list(self._loops.recognise(prepared, self._graph).trials)
-            if recognised:
-                self._trials = [*trials, *recognised]
-                return self._place(prepared, recognised)
+            recognised = self._loops.recognise(prepared, self._graph).trial
+            if recognised is not None:
+                self._trials = [*trials, recognised]
+                return self._place(prepared, [recognised])
         if self._stray is not None:
             trial = self._try(self._stray, prepared, window=self._stray_window(prepared))
             self._trials = [*trials, trial]
@@ -305,9 +305,10 @@ class Mapper:
     def _rejoin(self, keyframe: Prepared) -> PoseEstimate:
         """Tie a new keyframe to a map that it was apart from, if it recalls one."""
         if self.options.loops:
-            found = self._loops.rejoin(keyframe, self._graph).trials
-            self._trials += found
-            self._graph.tie(keyframe.index, [t.link for t in found if t.link is not None])
+            found = self._loops.rejoin(keyframe, self._graph).trial
+            if found is not None and found.link is not None:
+                self._trials.append(found)
+                self._graph.tie(keyframe.index, [found.link])
         return self._graph[keyframe.index]
 
     def _begin_fragment(self, prepared: Prepared) -> PoseEstimate:

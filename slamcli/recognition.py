@@ -43,13 +43,13 @@ class Recognition:
 
     Attributes
     ----------
-    trials : tuple of Trial
-        Believed ones, all of one spot, with links of kind ``loop``.
+    trial : Trial or None
+        The believed one, with a link of kind ``loop``.
     reason : str
         Why there is none; empty when there is.
     """
 
-    trials: tuple[Trial, ...]
+    trial: Trial | None
     reason: str
 
 
@@ -130,21 +130,25 @@ class Recogniser:
                 spots.append([place])
             else:
                 spot.append(place)
-        believed: list[tuple[Trial, ...]] = []
-        for spot in spots[:_MOST_SPOTS]:
-            tried = [
-                self.compare(place.keyframe, prepared, place.keyframe_from_now)
-                for place in spot[:_PLACES_OF_A_SPOT]
-            ]
-            if good := tuple(trial for trial in tried if self.is_strong(trial)):
-                believed.append(good)
+        tried = [self._first_strong(prepared, spot) for spot in spots[:_MOST_SPOTS]]
+        believed = [trial for trial in tried if trial is not None]
         if len(believed) == 1:
             return Recognition(believed[0], "")
         if believed:
-            return Recognition((), f"ambiguous: {len(believed)} spots of the map look like it")
+            return Recognition(None, f"ambiguous: {len(believed)} spots of the map look like it")
         if not spots:
-            return Recognition((), "not here: it recalls no place of the map")
-        return Recognition((), f"not here: it resembles {len(spots)} spots, but the pixels differ")
+            return Recognition(None, "not here: it recalls no place of the map")
+        return Recognition(
+            None, f"not here: it resembles {len(spots)} spots of the map, but the pixels differ"
+        )
+
+    def _first_strong(self, prepared: Prepared, spot: Sequence[Place]) -> Trial | None:
+        """Return the first comparison with a spot's keyframes that is to be believed."""
+        for place in spot[:_PLACES_OF_A_SPOT]:
+            trial = self.compare(place.keyframe, prepared, place.keyframe_from_now)
+            if self.is_strong(trial):
+                return trial
+        return None
 
     def _same_spot(self, first: Place, second: Place, graph: Graph) -> bool:
         """Return whether two recalled places say the same of where the frame is."""

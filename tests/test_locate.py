@@ -115,7 +115,7 @@ def set_to(*keys: Any, value: Any) -> Any:
         (set_to("calibration", "distortion_model", value="magic"), "distortion_model"),
         (set_to("calibration", "robot_from_image", value=[[0] * 3] * 3), "inverted"),
         (set_to("metres_per_pixel", value=float("nan")), "metres_per_pixel"),
-        (set_to("norm", value="l2"), "norm"),
+        (set_to("norm", value="l3"), "norm"),
         (lambda header, rest: rest[:-1], "cut off"),
         (lambda header, rest: rest + b"x", "after its end"),
         (lambda header, rest: b"\xff" * 8 + rest[8:], "numbers of its keyframes"),

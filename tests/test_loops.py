@@ -141,7 +141,7 @@ def test_two_spots_that_look_alike_are_ambiguous(photographer: photograph.Photog
     loops._latest = frozenset  # type: ignore[method-assign]
     prepared = mapper.prepare(Frame(9, "9", None, take(photographer, Pose2(0.05), 9)))
     found = loops.recognise(prepared, graph)
-    assert not found.trials
+    assert found.trial is None
     assert "ambiguous" in found.reason
 
 
@@ -159,6 +159,21 @@ def test_a_kept_keyframe_compares_like_the_frame_itself(
     true, kept = (dense.agreement(p.levels[0], second.levels[0], np.eye(3)) for p in (first, again))
     assert kept.overlap == true.overlap
     assert kept.correlation == pytest.approx(true.correlation, abs=0.02)
+
+
+def test_a_kept_keyframe_has_the_same_sift_descriptors(
+    photographer: photograph.Photographer,
+) -> None:
+    options = slamcli.MapperOptions(features=slamcli.FeatureOptions(method="sift", count=200))
+    mapper = slamcli.Mapper(photographer.calibration, options)
+    prepared = mapper.prepare(Frame(0, "0", None, take(photographer, Pose2(), 0)))
+    kept = compress(prepared)
+    again = Expander(mapper.grid).expand(kept)
+    assert kept.features.descriptors.dtype == np.uint8
+    assert prepared.features is not None
+    assert again.features is not None
+    assert again.features.descriptors.dtype == np.float32
+    np.testing.assert_array_equal(again.features.descriptors, prepared.features.descriptors)
 
 
 def test_overlap_of_footprints_is_that_of_the_views(photographer: photograph.Photographer) -> None:

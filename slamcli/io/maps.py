@@ -235,7 +235,7 @@ def _parse_keyframes(
     descriptors = arrays["descriptors"]
     if descriptors.ndim != 2 or len(descriptors) != total or not 1 <= descriptors.shape[1] <= 4096:
         raise MapError(f"its descriptors have shape {descriptors.shape}")
-    if (norm == "l2") != (descriptors.dtype != np.uint8):
+    if norm != "l2" and descriptors.dtype != np.uint8:
         raise MapError(f"its descriptors do not suit the norm {norm}")
     if not 1 <= count <= _MOST_KEYFRAMES:
         raise MapError(f"it has {count} keyframes")

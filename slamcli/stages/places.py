@@ -211,7 +211,7 @@ def _points_of(features: Features, chosen: NDArray[np.int64]) -> NDArray[np.floa
 def _words_of(features: Features, chosen: NDArray[np.int64]) -> NDArray[np.uint64]:
     """Return binary descriptors as (N, words of 64 bits)."""
     descriptors = features.descriptors[chosen]
-    if descriptors.dtype != np.uint8:
+    if features.norm == "l2":
         middle = np.median(descriptors, axis=1, keepdims=True)
         descriptors = np.packbits(descriptors > middle, axis=1)
     missing = -descriptors.shape[1] % _WORD_BYTES
