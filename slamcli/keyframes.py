@@ -30,10 +30,9 @@ def compress(prepared: Prepared) -> Keyframe:
     """Return a prepared frame, which has features and levels, as it is kept."""
     assert prepared.features is not None
     features, first = prepared.features, prepared.levels[0]
-    descriptors = features.descriptors
-    whole = descriptors.astype(np.uint8)
-    if features.norm == "l2" and np.array_equal(whole, descriptors):
-        # OpenCV's SIFT counts in whole numbers, a quarter the size as bytes.
+    # OpenCV's SIFT counts in whole numbers, a quarter the size as bytes.
+    whole = np.clip(features.descriptors, 0, 255).astype(np.uint8)
+    if np.array_equal(whole, features.descriptors):
         features = replace(features, descriptors=whole)
     quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
     _, image = cv2.imencode(".jpg", first.image, quality)

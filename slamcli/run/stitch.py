@@ -176,12 +176,18 @@ def _draw_trials(trials: Sequence[Trial], folder: Path) -> None:
 def _drawable(
     prepared: Prepared, chosen: NDArray[np.int32]
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
-    """Return a frame's view, its chosen points in that view's pixels, and pixel_from_metres."""
-    assert prepared.view is not None
+    """Return a frame's view, its chosen points in that view's pixels, and pixel_from_metres.
+
+    Of a keyframe from long ago only half the resolution is kept.
+    """
     assert prepared.features is not None
-    pixel_from_metres = prepared.view.grid.pixel_from_metres
+    if prepared.view is not None:
+        image, pixel_from_metres = prepared.view.image, prepared.view.grid.pixel_from_metres
+    else:
+        first = prepared.levels[0]
+        image, pixel_from_metres = first.image, first.pixel_from_metres
     points = apply_homography(pixel_from_metres, prepared.features.points[chosen])
-    return view.to_colour(prepared.view.image), points, pixel_from_metres
+    return view.to_colour(image), points, pixel_from_metres
 
 
 def _read_and_prepare(mapper: Mapper, file: FrameFile) -> Prepared:
