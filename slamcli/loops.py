@@ -92,23 +92,30 @@ class Loops:
             self._recalled[keyframe.index] = recalled
         self._known.keep(keyframe)
 
-    def recognise(self, prepared: Prepared, graph: Graph) -> Recognition:
+    def recognise(self, prepared: Prepared, graph: Graph, *, after_break: bool) -> Recognition:
         """Find the place of a frame of which no pose is known.
 
-        The latest keyframes are not asked: the frame has just been compared with them.
+        Parameters
+        ----------
+        prepared : Prepared
+        graph : Graph
+        after_break : bool
+            Whether the frame before was lost too. If not, the latest keyframes are not asked: the
+            frame has just been compared with them, and no robot turns about between two frames.
         """
         assert prepared.features is not None
-        places = self._known.recall(prepared.features, self._latest())
+        excluded = frozenset() if after_break else self._latest()
+        places = self._known.recall(prepared.features, excluded)
         return self._known.believe(prepared, places, graph)
 
     def rejoin(self, prepared: Prepared, graph: Graph) -> Recognition:
         """Find the place of a new keyframe in another fragment than its own."""
+        assert prepared.features is not None
         fragment = graph[prepared.index].fragment
-        places = [
-            place
-            for place in self._recalled.get(prepared.index, [])
-            if graph[place.keyframe].fragment != fragment
-        ]
+        recalled = self._recalled.get(prepared.index, [])
+        if any(graph[index].fragment != fragment for index in self._latest()):
+            recalled = self._known.recall(prepared.features, frozenset([prepared.index]))
+        places = [place for place in recalled if graph[place.keyframe].fragment != fragment]
         return self._known.believe(prepared, places, graph)
 
     def close(self, graph: Graph) -> list[Link]:
@@ -172,8 +179,8 @@ class Loops:
             return []
         links = []
         # What a keyframe looks like does not change from round to round: each is asked once.
-        for index in [index for index in self._recalled if index not in self._asked]:
-            if graph.is_placed(index):
+        for index in self._known.order:
+            if index not in self._asked and graph.is_placed(index):
                 self._asked.add(index)
                 found = self.rejoin(self._known.expand(index), graph).trial
                 if found is not None and found.link is not None:

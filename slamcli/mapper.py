@@ -147,7 +147,8 @@ class Mapper:
     def _recover(self, prepared: Prepared, trials: list[Trial]) -> PoseEstimate:
         """Look for a frame that fits no recent one on the whole map, then beside a stray."""
         if self.options.loops:
-            recognised = self._loops.recognise(prepared, self._graph).trial
+            astray = self._stray is not None
+            recognised = self._loops.recognise(prepared, self._graph, after_break=astray).trial
             if recognised is not None:
                 self._trials = [*trials, recognised]
                 return self._place(prepared, [recognised])

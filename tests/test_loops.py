@@ -77,10 +77,10 @@ def test_a_loop_is_closed_by_true_links_alone(circle: slamcli.Mapper) -> None:
 def test_a_carried_robot_is_known_again_and_never_placed_while_away(
     photographer: photograph.Photographer,
 ) -> None:
-    known = [Pose2(0.05 * n, 0.0, 0.0) for n in range(10)]
-    away = [Pose2(8.0 + 0.05 * n, 5.0, 1.0) for n in range(4)]
+    known = [Pose2(0.05 * n, 0.0, 0.0) for n in range(8)]
+    away = [Pose2(8.0 + 0.05 * n, 5.0, 1.0) for n in range(3)]
     # Back on the first lane, crossed at another heading.
-    start = Pose2(0.45, -0.22, 1.9)
+    start = Pose2(0.42, -0.2, 1.9)
     back = [start @ Pose2(0.04 * n) for n in range(3)]
     truth = [*known, *away, *back]
     mapper = slamcli.Mapper(photographer.calibration)
@@ -137,10 +137,8 @@ def test_two_spots_that_look_alike_are_ambiguous(photographer: photograph.Photog
         loops.remember(prepared)
         estimate = mapper.estimates[0]
         graph.adopt(replace(estimate, index=index, map_from_robot=place))
-    loops._recent = 0
-    loops._latest = frozenset  # type: ignore[method-assign]
     prepared = mapper.prepare(Frame(9, "9", None, take(photographer, Pose2(0.05), 9)))
-    found = loops.recognise(prepared, graph)
+    found = loops.recognise(prepared, graph, after_break=True)
     assert found.trial is None
     assert "ambiguous" in found.reason
 
