@@ -11,26 +11,31 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
-from slamcli.core.config import FeatureMethod, FeatureOptions
 from slamcli.core.errors import InputError, MapError
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import (
-    Calibration,
     DescriptorNorm,
-    DistortionModel,
     Features,
     FloorMap,
     Keyframe,
     PoseEstimate,
-    Unit,
 )
 from slamcli.io.files import write_bytes
+from slamcli.io.map_headers import (
+    MOST_METRES,
+    MOST_POINTS,
+    calibration_header,
+    parse_calibration,
+    parse_features,
+    parse_number,
+    parse_word,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,9 +49,6 @@ _DIGEST_BYTES = 32
 _LENGTH_BYTES = 8
 _MOST_BYTES = 16 * 2**30
 _MOST_KEYFRAMES = 2_000_000
-_MOST_POINTS = 100_000
-_MOST_SIDE_PIXELS = 32_768
-_MOST_METRES = 1e7
 _KINDS = {
     "rows": "<i8",
     "stamps": "<f8",
@@ -61,22 +63,6 @@ _KINDS = {
 }
 # Of each row: index, fragment, and how many points, and bytes of picture, mask and name it has.
 _ROW_COLUMNS = 6
-_FEATURE_RANGES: dict[str, tuple[float, float]] = {
-    "count": (1, _MOST_POINTS),
-    "scale_factor": (1.01, 4.0),
-    "levels": (1, 32),
-    "edge_threshold": (1, 1024),
-    "first_level": (0, 31),
-    "wta_k": (2, 4),
-    "patch_size": (5, 1024),
-    "fast_threshold": (1, 255),
-    "min_fast_threshold": (1, 255),
-    "contrast_threshold": (0.0, 1e3),
-    "clean_kernel_pixels": (1, 1024),
-    "clean_threshold": (0, 255),
-    "roi_border_pixels": (0, 4096),
-}
-_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
 
 
 def save_map(path: Path, floor_map: FloorMap) -> None:
@@ -111,7 +97,7 @@ def save_map(path: Path, floor_map: FloorMap) -> None:
         "names": np.frombuffer(b"".join(names), "|u1"),
     }
     header = {
-        "calibration": _calibration_header(floor_map.calibration),
+        "calibration": calibration_header(floor_map.calibration),
         "features": asdict(floor_map.features),
         "metres_per_pixel": floor_map.metres_per_pixel,
         "tilt_sigma_degrees": floor_map.tilt_sigma_degrees,
@@ -183,15 +169,15 @@ def _parse(body: bytes) -> FloorMap:
     header = json.loads(body[_LENGTH_BYTES:end])
     if not isinstance(header, dict):
         raise MapError("its header is no table")
-    features = _parse_features(header["features"])
-    norm = _word(header["norm"], get_args(DescriptorNorm), "norm")
+    features = parse_features(header["features"])
+    norm = parse_word(header["norm"], get_args(DescriptorNorm), "norm")
     arrays = _parse_arrays(header["arrays"], memoryview(body)[end:])
     keyframes, estimates = _parse_keyframes(arrays, norm)
     return FloorMap(
-        _parse_calibration(header["calibration"]),
+        parse_calibration(header["calibration"]),
         features,
-        _number(header["metres_per_pixel"], "metres_per_pixel", 1e-9, _MOST_METRES),
-        _number(header["tilt_sigma_degrees"], "tilt_sigma_degrees", 0.0, 90.0),
+        parse_number(header["metres_per_pixel"], "metres_per_pixel", 1e-9, MOST_METRES),
+        parse_number(header["tilt_sigma_degrees"], "tilt_sigma_degrees", 0.0, 90.0),
         keyframes,
         estimates,
     )
@@ -241,7 +227,7 @@ def _parse_keyframes(
         raise MapError(f"it has {count} keyframes")
     if rows.min() < 0 or rows.max() >= 2**31 or len(np.unique(rows[:, 0])) != count:
         raise MapError("the numbers of its keyframes are wrong")
-    if rows[:, 2].max() > _MOST_POINTS or rows[:, 2].sum() != total:
+    if rows[:, 2].max() > MOST_POINTS or rows[:, 2].sum() != total:
         raise MapError("the numbers of its points are wrong")
     if rows[:, 3:5].sum() != len(arrays["pictures"]) or rows[:, 5].sum() != len(arrays["names"]):
         raise MapError("the lengths of its pictures or names are wrong")
@@ -291,106 +277,15 @@ def _check_numbers(arrays: dict[str, NDArray[Any]]) -> None:
         values = arrays[name]
         if values.dtype != np.uint8 and not np.all(np.isfinite(values)):
             raise MapError(f"its {name} hold a number that is not finite")
-    if np.abs(arrays["poses"][:, :2]).max() > _MOST_METRES:
+    if np.abs(arrays["poses"][:, :2]).max() > MOST_METRES:
         raise MapError("a pose lies off the Earth")
     points, sigmas = arrays["points"], arrays["sigmas"]
-    if len(points) and (np.abs(points).max() > _MOST_METRES or sigmas.min() <= 0.0):
+    if len(points) and (np.abs(points).max() > MOST_METRES or sigmas.min() <= 0.0):
         raise MapError("its points or their sigmas are out of range")
     covariances = arrays["covariances"]
     symmetric = np.allclose(covariances, covariances.transpose(0, 2, 1), rtol=1e-6, atol=1e-12)
     if not symmetric or np.linalg.eigvalsh(covariances).min() < -1e-12:
         raise MapError("a covariance is not one")
-
-
-def _parse_features(section: Any) -> FeatureOptions:
-    known = {field.name: getattr(FeatureOptions(), field.name) for field in fields(FeatureOptions)}
-    if set(section) != set(known):
-        raise MapError("its feature options are not those of this version")
-    for name, default in known.items():
-        value = section[name]
-        if type(value) is not type(default) and not (
-            isinstance(default, float) and type(value) is int
-        ):
-            raise MapError(f"its feature option {name} is {value!r}")
-        if name in _FEATURE_RANGES:
-            _number(value, name, *_FEATURE_RANGES[name])
-    _word(section["method"], get_args(FeatureMethod), "method")
-    return FeatureOptions(**section)
-
-
-def _calibration_header(calibration: Calibration) -> dict[str, Any]:
-    """Return a calibration as JSON can hold it: nan as null."""
-    header: dict[str, Any] = {}
-    for field in fields(calibration):
-        value = getattr(calibration, field.name)
-        if isinstance(value, np.ndarray):
-            value = value.tolist()
-        elif isinstance(value, float) and math.isnan(value):
-            value = None
-        header[field.name] = value
-    return header
-
-
-def _parse_calibration(section: Any) -> Calibration:
-    model: DistortionModel = _word(
-        section["distortion_model"], get_args(DistortionModel), "distortion_model"
-    )
-    width, height = section["image_size"]
-    size = tuple(int(_number(side, "image_size", 1, _MOST_SIDE_PIXELS)) for side in (width, height))
-    distortion = _matrix(section["distortion"], "distortion")
-    if distortion.ndim != 1 or len(distortion) not in _COEFFICIENTS[model]:
-        raise MapError(f"its distortion has shape {distortion.shape}, which {model} does not have")
-    unit: Unit = _word(section["unit"], get_args(Unit), "unit")
-    numbers = {
-        name: math.nan if section[name] is None else _number(section[name], name, low, _MOST_METRES)
-        for name, low in (
-            ("height_metres", 0.0),
-            ("pitch_radians", -math.pi),
-            ("roll_radians", -math.pi),
-            ("focal_sigma_pixels", 0.0),
-            ("height_sigma_metres", 0.0),
-            ("pitch_sigma_radians", 0.0),
-            ("roll_sigma_radians", 0.0),
-        )
-    }
-    return Calibration(
-        camera_matrix=_square(section["camera_matrix"], "camera_matrix"),
-        distortion=distortion,
-        distortion_model=model,
-        image_size=(size[0], size[1]),
-        robot_from_image=_square(section["robot_from_image"], "robot_from_image"),
-        max_range_metres=_number(
-            section["max_range_metres"], "max_range_metres", 1e-6, _MOST_METRES
-        ),
-        unit=unit,
-        **numbers,
-    )
-
-
-def _square(value: Any, name: str) -> NDArray[np.float64]:
-    matrix = _matrix(value, name)
-    if matrix.shape != (3, 3) or not abs(np.linalg.det(matrix)) > 0.0:
-        raise MapError(f"its {name} is not a (3, 3) matrix that can be inverted")
-    return matrix
-
-
-def _matrix(value: Any, name: str) -> NDArray[np.float64]:
-    matrix = np.array(value, np.float64)
-    if matrix.size > 16 or not np.all(np.abs(matrix) < _MOST_METRES):
-        raise MapError(f"its {name} holds a number that is out of range")
-    return matrix
-
-
-def _number(value: Any, name: str, low: float, high: float) -> float:
-    if type(value) not in {int, float} or not low <= value <= high:
-        raise MapError(f"its {name} is {value!r}; {low:g} to {high:g} is sound")
-    return float(value)
-
-
-def _word(value: Any, words: tuple[Any, ...], name: str) -> Any:
-    if value not in words:
-        raise MapError(f"its {name} is {value!r}; one of {', '.join(words)} is known")
-    return value
 
 
 def _joined(pieces: Sequence[NDArray[Any]], kind: Any) -> NDArray[Any]:
