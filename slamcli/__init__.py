@@ -19,11 +19,12 @@ if TYPE_CHECKING:
         CalibrationError,
         FrameError,
         InputError,
+        MapError,
         OutputError,
         SlamcliError,
     )
     from slamcli.core.geometry import Grid, Pose2
-    from slamcli.core.records import Calibration, Frame, Link, PoseEstimate
+    from slamcli.core.records import Calibration, FloorMap, Frame, Link, PoseEstimate
     from slamcli.core.telemetry import (
         CompassReading,
         Georeference,
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
         TelemetryOptions,
     )
     from slamcli.io.calibrations import load_calibration
+    from slamcli.io.maps import load_map
+    from slamcli.locate import Locator
     from slamcli.mapper import Mapper
 
 __version__ = "0.1.0"
@@ -41,6 +44,7 @@ _HOMES = {
     "CalibrationError": "slamcli.core.errors",
     "CompassReading": "slamcli.core.telemetry",
     "FeatureOptions": "slamcli.core.config",
+    "FloorMap": "slamcli.core.records",
     "Frame": "slamcli.core.records",
     "FrameError": "slamcli.core.errors",
     "Georeference": "slamcli.core.telemetry",
@@ -48,6 +52,8 @@ _HOMES = {
     "Grid": "slamcli.core.geometry",
     "InputError": "slamcli.core.errors",
     "Link": "slamcli.core.records",
+    "Locator": "slamcli.locate",
+    "MapError": "slamcli.core.errors",
     "Mapper": "slamcli.mapper",
     "MapperOptions": "slamcli.core.config",
     "MatchOptions": "slamcli.core.config",
@@ -58,6 +64,7 @@ _HOMES = {
     "SlamcliError": "slamcli.core.errors",
     "TelemetryOptions": "slamcli.core.telemetry",
     "load_calibration": "slamcli.io.calibrations",
+    "load_map": "slamcli.io.maps",
 }
 
 __all__ = [
@@ -65,6 +72,7 @@ __all__ = [
     "CalibrationError",
     "CompassReading",
     "FeatureOptions",
+    "FloorMap",
     "Frame",
     "FrameError",
     "Georeference",
@@ -72,6 +80,8 @@ __all__ = [
     "Grid",
     "InputError",
     "Link",
+    "Locator",
+    "MapError",
     "Mapper",
     "MapperOptions",
     "MatchOptions",
@@ -83,6 +93,7 @@ __all__ = [
     "TelemetryOptions",
     "__version__",
     "load_calibration",
+    "load_map",
 ]
 
 

@@ -121,6 +121,43 @@ def stitch(
 
 
 @main.command()
+@click.argument("floor_map", metavar="MAP", type=options.PATH)
+@options.frames
+@options.output("the poses, as CSV")
+@click.option("--json", "as_json", is_flag=True, help="Print everything measured, as JSON.")
+@options.workers
+@options.overwrite
+def locate(
+    floor_map: Path,
+    frames: tuple[Path, ...],
+    output: Path | None,
+    as_json: bool,
+    workers: int | None,
+    overwrite: bool,
+) -> None:
+    """Find FRAMES in a finished MAP.
+
+    MAP is a folder that `slam stitch` wrote, or the map.slam in it. Each frame is looked up by
+    itself; exit 1 when none of them is there.
+    """
+    from slamcli.progress import ProgressBar
+    from slamcli.run.executor import default_workers
+    from slamcli.run.locate import locate as run_locate
+
+    with ProgressBar() as progress:
+        report = run_locate(
+            floor_map,
+            frames,
+            output,
+            workers=workers or default_workers(),
+            overwrite=overwrite,
+            progress=progress,
+        )
+    click.echo(report.json if as_json else "\n".join(report.lines))
+    sys.exit(report.exit_code)
+
+
+@main.command()
 @options.frames
 @options.calibration
 @options.output("the bird's-eye pictures (default: the folder's name with _birdseye)")

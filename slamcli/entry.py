@@ -21,6 +21,7 @@ Commands:
   calibrate  Calibrate from PHOTOS of a square.
   detect     Draw the points found in FRAMES.
   evaluate   Measure how far POSES are from the TRUTH.
+  locate     Find FRAMES in a finished MAP.
   match      Find the transform from FIRST to SECOND.
   simulate   Simulate a drive over a floor into OUTPUT.
   stitch     Stitch FRAMES into one map.

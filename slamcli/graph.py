@@ -89,23 +89,35 @@ class Graph:
         begun = _estimate(prepared, Pose2(), fragment, SAME_POSE_COVARIANCE)
         return self._keep(replace(begun, odom_from_robot=odom))
 
+    def adopt(self, estimate: PoseEstimate) -> None:
+        """Take over what an earlier run knew of a frame."""
+        self._keep(estimate)
+        self._next_fragment = max(self._next_fragment, estimate.fragment + 1)
+
     def place(self, prepared: Prepared, links: Sequence[Link]) -> PoseEstimate:
         """Place a frame by the surest of its links; those to another fragment join the two."""
+        odom = self._odom_after(prepared, min(links, key=_uncertainty))
+        self._keep(replace(self.where(prepared, links), odom_from_robot=odom))
+        self.tie(prepared.index, links)
+        return self._estimates[prepared.index]
+
+    def where(self, prepared: Prepared, links: Sequence[Link]) -> PoseEstimate:
+        """Return where the surest of its links to known frames puts a frame, which is not kept."""
         link = min(links, key=_uncertainty)
         origin = self._estimates[link.a]
         assert origin.covariance is not None
-        self.links += links
         pose = self.pose(link.a) @ link.a_from_b
         covariance = posegraph.compose_covariance(origin.covariance, link.a_from_b, link.covariance)
         placed = _estimate(prepared, pose, origin.fragment, covariance)
-        odom = self._odom_after(prepared, link)
-        self._keep(
-            replace(placed, inliers=link.inliers, score=link.score, odom_from_robot=odom),
-        )
-        joins = any(self._estimates[link.a].fragment != origin.fragment for link in links)
+        return replace(placed, inliers=link.inliers, score=link.score)
+
+    def tie(self, index: int, links: Sequence[Link]) -> None:
+        """Add links of a placed frame; those to another fragment join the two."""
+        self.links += links
+        fragment = self._estimates[index].fragment
+        joins = any(self._estimates[link.a].fragment != fragment for link in links)
         if joins or self._is_due():
-            self._join(prepared.index)
-        return self._estimates[prepared.index]
+            self._join(index)
 
     def carried(self, index: int, prepared: Prepared) -> tuple[Pose2, NDArray[np.float64]] | None:
         """Return how far odometry says a frame is from an earlier one, and how surely."""

@@ -19,15 +19,17 @@ from slamcli.comparison import compare
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Frame, Prepared
+from slamcli.core.records import FloorMap, Frame, Prepared
 from slamcli.fusion import Senses
 from slamcli.graph import Graph, lost
+from slamcli.loops import Loops
 from slamcli.stages import dense, features, view
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from slamcli.comparison import Trial
+    from slamcli.core.geometry import Grid
     from slamcli.core.records import Calibration, DenseLevel, Link, PoseEstimate
     from slamcli.core.telemetry import (
         CompassReading,
@@ -70,12 +72,18 @@ class Mapper:
         if self.options.dense:
             self._far_resampler = view.make_far_resampler(calibration, self.metres_per_pixel)
         self._graph = Graph(Senses(telemetry))
+        self._loops = Loops(calibration, self.options, self.grid)
         self._keyframes: list[Prepared] = []
         self._latest: Prepared | None = None
         self._motion: Pose2 | None = None
         self._moved_at = 0
         self._stray: Prepared | None = None
         self._trials: list[Trial] = []
+
+    @property
+    def grid(self) -> Grid:
+        """Of the views that are matched, in the robot frame."""
+        return self._resampler.grid
 
     @property
     def estimates(self) -> list[PoseEstimate]:
@@ -181,6 +189,29 @@ class Mapper:
             return self._place(prepared, trials)
         if not self._keyframes:
             return self._begin_fragment(prepared)
+        return self._recover(prepared, trials)
+
+    def finish(self) -> list[PoseEstimate]:
+        """Weigh all links against one another and return every frame's final estimate.
+
+        Fragments that links connect become one; they are numbered from the one with most frames
+        down, and each has its first frame as its origin. A frame that nothing ties to any other
+        is lost.
+        """
+        self._graph.solve()
+        while self.options.loops and (found := self._loops.close(self._graph)):
+            self._graph.links += found
+            self._graph.solve()
+        return self.estimates
+
+    def _recover(self, prepared: Prepared, trials: list[Trial]) -> PoseEstimate:
+        """Look for a frame that fits no recent one on the whole map, then beside a stray."""
+        if self.options.loops:
+            astray = self._stray is not None
+            recognised = self._loops.recognise(prepared, self._graph, after_break=astray).trial
+            if recognised is not None:
+                self._trials = [*trials, recognised]
+                return self._place(prepared, [recognised])
         if self._stray is not None:
             trial = self._try(self._stray, prepared, window=self._stray_window(prepared))
             self._trials = [*trials, trial]
@@ -192,15 +223,19 @@ class Mapper:
         self._stray = prepared
         return self._graph.lose(prepared, _telling(trials).reason)
 
-    def finish(self) -> list[PoseEstimate]:
-        """Weigh all links against one another and return every frame's final estimate.
-
-        Fragments that links connect become one; they are numbered from the one with most frames
-        down, and each has its first frame as its origin. A frame that nothing ties to any other
-        is lost.
-        """
-        self._graph.solve()
-        return self.estimates
+    def floor_map(self) -> FloorMap | None:
+        """Return what it takes to find oneself in the map so far; None while nothing is placed."""
+        kept = [k for k in self._loops.keyframes if self._graph.is_placed(k.index)]
+        if not kept:
+            return None
+        return FloorMap(
+            self.calibration,
+            self.options.features,
+            self.metres_per_pixel,
+            self.options.tilt_sigma_degrees,
+            tuple(kept),
+            tuple(self._graph[keyframe.index] for keyframe in kept),
+        )
 
     def _compare(self, prepared: Prepared, before: Prepared | None) -> list[Trial]:
         """Try the latest keyframes, newest first: all that overlap once one has been believed.
@@ -338,9 +373,20 @@ class Mapper:
             self._motion = start.inverse() @ self._graph.pose(prepared.index)
             self._moved_at = prepared.index
         self._stray = None
-        if max(trial.overlap for trial in believed) < self.options.keyframe_overlap:
+        overlap = max(trial.overlap for trial in believed)
+        if overlap < self.options.keyframe_overlap or links[0].kind == "loop":
             self._add_keyframe(prepared)
+            return self._rejoin(prepared)
         return estimate
+
+    def _rejoin(self, keyframe: Prepared) -> PoseEstimate:
+        """Tie a new keyframe to a map that it was apart from, if it recalls one."""
+        if self.options.loops:
+            found = self._loops.rejoin(keyframe, self._graph).trial
+            if found is not None and found.link is not None:
+                self._trials.append(found)
+                self._graph.tie(keyframe.index, [found.link])
+        return self._graph[keyframe.index]
 
     def _begin_fragment(self, prepared: Prepared) -> PoseEstimate:
         self._add_keyframe(prepared)
@@ -348,6 +394,7 @@ class Mapper:
 
     def _add_keyframe(self, prepared: Prepared) -> None:
         self._keyframes.append(prepared)
+        self._loops.remember(prepared)
         del self._keyframes[: -self.options.recent_keyframes]
 
 

@@ -375,6 +375,11 @@ mapper_options = stacked(
         help="A motion is ambiguous when another explains more than this share of what it does.",
     ),
     click.option(
+        "--loops/--no-loops",
+        default=_MAPPER.loops,
+        help="Look for floor that was seen before [default], or take the frames as a chain.",
+    ),
+    click.option(
         "--refine-pixels/--no-refine-pixels",
         default=_MAPPER.refine,
         help="Refine each fit on the pixels themselves [default], or leave it to the features.",
@@ -405,6 +410,7 @@ def mapper_of(told: Mapping[str, Any]) -> MapperOptions:
         dense=told["dense"],
         search_angle_degrees=told["search_angle"],
         max_rival_evidence=told["max_rival"],
+        loops=told["loops"],
     )
 
 

@@ -212,6 +212,8 @@ class MapperOptions:
     convincing_inliers : int
     convincing_score : float
         A fit with so many inliers, whose pixels correlate so well, needs no search.
+    loops : bool
+        Look for floor that was seen before: to close loops, and to know a robot that was carried.
     """
 
     features: FeatureOptions = field(default_factory=lambda: FeatureOptions(count=1000))
@@ -233,3 +235,4 @@ class MapperOptions:
     most_hypotheses: int = 3
     convincing_inliers: int = 120
     convincing_score: float = 0.5
+    loops: bool = True

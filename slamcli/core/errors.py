@@ -19,5 +19,9 @@ class CalibrationError(SlamcliError):
     """A calibration is missing, broken or does not fit, or a photo does not yield one."""
 
 
+class MapError(SlamcliError):
+    """A map file is missing, damaged, or not one that can be believed."""
+
+
 class OutputError(SlamcliError):
     """A result cannot be written where it was asked for."""

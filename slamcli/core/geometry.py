@@ -226,6 +226,16 @@ def relative_poses(c_from_a: ArrayLike, c_from_b: ArrayLike) -> NDArray[np.float
     return np.stack([cosine * x + sine * y, cosine * y - sine * x, theta], axis=-1)
 
 
+def covariance_in_map(
+    map_from_robot: Pose2, covariance: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return a pose's (3, 3) covariance, given in the robot's own axes, in those of the map."""
+    turn = np.eye(3)
+    turn[:2, :2] = map_from_robot.matrix[:2, :2]
+    turned: NDArray[np.float64] = turn @ covariance @ turn.T
+    return turned
+
+
 def path_length(poses: Sequence[Pose2]) -> float:
     """Return the sum of the distances between consecutive poses, in metres."""
     if len(poses) < 2:

@@ -12,7 +12,7 @@ from slamcli.core.geometry import invert
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from slamcli.core.config import TransformModel
+    from slamcli.core.config import FeatureOptions, TransformModel
     from slamcli.core.geometry import Grid, Pose2
 
 DescriptorNorm = Literal["hamming", "hamming2", "l2"]
@@ -187,6 +187,27 @@ class Prepared:
     reason: str = ""
     levels: tuple[DenseLevel, ...] = ()
     far_levels: tuple[DenseLevel, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframe:
+    """A frame as it is kept for as long as the map lasts, to be compared with later ones.
+
+    Attributes
+    ----------
+    index, name, stamp
+        Of the frame.
+    features : Features
+    image, mask : bytes
+        Of its view at half resolution, as JPEG and PNG.
+    """
+
+    index: int
+    name: str
+    stamp: float | None
+    features: Features
+    image: bytes
+    mask: bytes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -400,6 +421,33 @@ class PoseEstimate:
     score: float = float("nan")
     revised: tuple[int, ...] = field(default=())
     odom_from_robot: Pose2 | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FloorMap:
+    """What a finished drive leaves behind to find oneself by.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        Of the camera that made it.
+    features : FeatureOptions
+        How its points were found; a frame to be located is treated alike.
+    metres_per_pixel : float
+        Of the views.
+    tilt_sigma_degrees : float
+        By how much the camera's pitch varied.
+    keyframes : tuple of Keyframe
+    estimates : tuple of PoseEstimate
+        One for each keyframe, in the same order, all placed.
+    """
+
+    calibration: Calibration
+    features: FeatureOptions
+    metres_per_pixel: float
+    tilt_sigma_degrees: float
+    keyframes: tuple[Keyframe, ...]
+    estimates: tuple[PoseEstimate, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.geometry import covariance_in_map
 from slamcli.io.files import write_text
 
 if TYPE_CHECKING:
@@ -59,8 +60,7 @@ def _row(estimate: PoseEstimate) -> list[str]:
     if covariance is None:
         sigmas = [""] * 3
     else:
-        rotation = pose.matrix[:2, :2]
-        variances = np.diag(rotation @ covariance[:2, :2] @ rotation.T)
-        sigmas = [f"{math.sqrt(value):.3e}" for value in (*variances, covariance[2, 2])]
+        variances = np.diag(covariance_in_map(pose, covariance))
+        sigmas = [f"{math.sqrt(value):.3e}" for value in variances]
     score = "" if math.isnan(estimate.score) else f"{estimate.score:.4f}"
     return [*head, *place, *sigmas, str(estimate.inliers), score]

@@ -16,6 +16,7 @@ from slamcli.graph import placed_fragments
 from slamcli.io import rasters, tables
 from slamcli.io.files import output_folder, write_image
 from slamcli.io.frames import read_frame
+from slamcli.io.maps import MAP_NAME, save_map
 from slamcli.io.poses import write_poses
 from slamcli.mapper import Mapper
 from slamcli.painter import Painter
@@ -56,6 +57,7 @@ PRODUCTS = (
     "poses.csv",
     "trajectory*.png",
     "run.toml",
+    MAP_NAME,
     *exports.PRODUCTS,
 )
 DEBUG_PRODUCTS = "matches"
@@ -134,6 +136,9 @@ def stitch(
         estimates = mapper.estimates
         area = _write_maps(inputs, estimates, options, staging, progress)
         write_poses(staging / "poses.csv", estimates)
+        floor_map = mapper.floor_map()
+        if floor_map is not None:
+            save_map(staging / MAP_NAME, floor_map)
         seconds = time.monotonic() - started
         exports.write_exports(staging, options.export, mapper)
         _write_run(staging, inputs, options, files, mapper)
@@ -206,12 +211,18 @@ def _draw_trials(trials: Sequence[Trial], folder: Path) -> None:
 def _drawable(
     prepared: Prepared, chosen: NDArray[np.int32]
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
-    """Return a frame's view, its chosen points in that view's pixels, and pixel_from_metres."""
-    assert prepared.view is not None
+    """Return a frame's view, its chosen points in that view's pixels, and pixel_from_metres.
+
+    Of a keyframe from long ago only half the resolution is kept.
+    """
     assert prepared.features is not None
-    pixel_from_metres = prepared.view.grid.pixel_from_metres
+    if prepared.view is not None:
+        image, pixel_from_metres = prepared.view.image, prepared.view.grid.pixel_from_metres
+    else:
+        first = prepared.levels[0]
+        image, pixel_from_metres = first.image, first.pixel_from_metres
     points = apply_homography(pixel_from_metres, prepared.features.points[chosen])
-    return view.to_colour(prepared.view.image), points, pixel_from_metres
+    return view.to_colour(image), points, pixel_from_metres
 
 
 def _read_and_prepare(mapper: Mapper, file: FrameFile) -> Prepared:

@@ -1,0 +1,266 @@
+"""Floor seen before: candidates from poses and from appearance, compared before any is believed.
+
+A drive's keyframes are kept for good. Where the poses, as sure as they are, say that two of them
+see the same floor, they are compared near that guess. Where they do not say so (drift, or a robot
+that was carried elsewhere), a frame's points recall places, and the motion that they vote for is
+compared (`slamcli.recognition`).
+"""
+
+from __future__ import annotations
+
+from itertools import accumulate, pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from slamcli.core.geometry import Pose2, invert, path_length, pose_array
+from slamcli.keyframes import compress
+from slamcli.recognition import Recogniser
+from slamcli.stages import covisibility, posegraph
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from slamcli.core.config import MapperOptions
+    from slamcli.core.geometry import Grid
+    from slamcli.core.records import Calibration, Keyframe, Link, Prepared
+    from slamcli.graph import Graph
+    from slamcli.recognition import Recognition
+    from slamcli.stages.places import Place
+
+# Of the way between two frames: what a calibration's errors add to it, which no link's covariance
+# knows of (one sigma).
+_DRIFT_SHARE = 0.01
+# Matches are looked for within so much of the range about a guess; sigmas of the guess to that.
+_GUESS_SHARE_OF_RANGE = 0.1
+_GUESS_SIGMAS = 2.0
+# A motion farther from what the poses say (chi-squared, 3 degrees of freedom, one in ten thousand)
+# is not believed, whatever the pixels say.
+_MOST_CONTRADICTION = 21.1
+_LEAST_OVERLAP = 0.2
+# So many loops are tried for a keyframe in a round, and none beside one that is closed already.
+_MOST_TRIED = 3
+_BESIDE = 1
+_SAME_RADIANS = 0.1
+
+
+class _Attempt(NamedTuple):
+    """Two keyframes to be compared, ``a_from_b`` as the poses have it, and how far to trust it."""
+
+    a: int
+    b: int
+    expected: Pose2
+    covariance: NDArray[np.float64]
+    guess: Pose2
+
+
+class Loops:
+    """Keeps a drive's keyframes and ties those that saw the same floor at different times.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    options : MapperOptions
+    grid : Grid
+        Of the views.
+    """
+
+    def __init__(self, calibration: Calibration, options: MapperOptions, grid: Grid) -> None:
+        self._recent = options.recent_keyframes
+        self._range = calibration.max_range_metres
+        self._reach = _GUESS_SHARE_OF_RANGE * calibration.max_range_metres
+        self._footprint = covisibility.Footprint(calibration)
+        self._known = Recogniser(calibration, options, grid)
+        self._recalled: dict[int, list[Place]] = {}
+        self._asked: set[int] = set()
+        self._failed: dict[tuple[int, int], Pose2] = {}
+
+    @property
+    def keyframes(self) -> list[Keyframe]:
+        """All that are kept, in the order of their making."""
+        return self._known.keyframes
+
+    def remember(self, prepared: Prepared) -> None:
+        """Keep one more keyframe, and what it recalls of those before the latest few."""
+        if prepared.index in self._known:
+            return
+        keyframe = compress(prepared)
+        recalled = self._known.recall(keyframe.features, self._latest())
+        if recalled:
+            self._recalled[keyframe.index] = recalled
+        self._known.keep(keyframe)
+
+    def recognise(self, prepared: Prepared, graph: Graph, *, after_break: bool) -> Recognition:
+        """Find the place of a frame of which no pose is known.
+
+        Parameters
+        ----------
+        prepared : Prepared
+        graph : Graph
+        after_break : bool
+            Whether the frame before was lost too. If not, the latest keyframes are not asked: the
+            frame has just been compared with them, and no robot turns about between two frames.
+        """
+        assert prepared.features is not None
+        excluded = frozenset() if after_break else self._latest()
+        places = self._known.recall(prepared.features, excluded)
+        return self._known.believe(prepared, places, graph)
+
+    def rejoin(self, prepared: Prepared, graph: Graph) -> Recognition:
+        """Find the place of a new keyframe in another fragment than its own."""
+        assert prepared.features is not None
+        fragment = graph[prepared.index].fragment
+        recalled = self._recalled.get(prepared.index, [])
+        if any(graph[index].fragment != fragment for index in self._latest()):
+            recalled = self._known.recall(prepared.features, frozenset([prepared.index]))
+        places = [place for place in recalled if graph[place.keyframe].fragment != fragment]
+        return self._known.believe(prepared, places, graph)
+
+    def close(self, graph: Graph) -> list[Link]:
+        """Return the loops that one round finds by the graph's poses as they are."""
+        ties = _Ties(self._known, graph.links)
+        found: list[Link] = []
+        for attempts in (self._by_poses(graph), self._by_appearance(graph)):
+            for attempt in attempts:
+                link = None if ties.beside(attempt.a, attempt.b) else self._attempt(attempt)
+                if link is not None:
+                    ties.add(link)
+                    found.append(link)
+        return found + self._between_fragments(graph)
+
+    def _latest(self) -> frozenset[int]:
+        return frozenset(self._known.order[-self._recent :])
+
+    def _by_poses(self, graph: Graph) -> Iterator[_Attempt]:
+        """Yield pairs that see the same floor, if the poses are right, and surely enough so."""
+        for members in self._fragments(graph).values():
+            numbers = {index: number for number, index in enumerate(members)}
+            ties = [link for link in graph.links if link.a in numbers and link.b in numbers]
+            tied = np.array([(numbers[t.a], numbers[t.b]) for t in ties], np.int64).reshape(-1, 2)
+            candidates = covisibility.pairs(
+                pose_array([graph.pose(index) for index in members]),
+                tied,
+                np.array([_uncertainty(tie) for tie in ties]),
+                self._footprint,
+                least_overlap=_LEAST_OVERLAP,
+                most_uncertainty=self._reach / _GUESS_SIGMAS,
+            )
+            for pair in candidates:
+                b, tried = members[pair.b], 0
+                for a, motion, sigma in zip(pair.a, pair.a_from_b, pair.uncertainties, strict=True):
+                    steps = self._known.steps_between(members[a], b)
+                    if steps <= self._recent or tried == _MOST_TRIED:
+                        continue
+                    tried += 1
+                    expected = Pose2(*map(float, motion))
+                    covariance = self._doubt(float(sigma))
+                    yield _Attempt(members[a], b, expected, covariance, expected)
+
+    def _by_appearance(self, graph: Graph) -> Iterator[_Attempt]:
+        """Yield pairs of one fragment that look alike, where drift does not rule them out."""
+        for members in self._fragments(graph).values():
+            way = dict(zip(members, _ways([graph.pose(i) for i in members]), strict=True))
+            for b in members:
+                places = [p for p in self._recalled.get(b, []) if p.keyframe in way]
+                for place in places[:_MOST_TRIED]:
+                    expected = graph.pose(place.keyframe).inverse() @ graph.pose(b)
+                    known, other = graph[place.keyframe].covariance, graph[b].covariance
+                    assert known is not None
+                    assert other is not None
+                    drift = self._doubt(_DRIFT_SHARE * abs(way[b] - way[place.keyframe]))
+                    covariance = posegraph.compose_covariance(known, expected, other) + drift
+                    yield _Attempt(place.keyframe, b, expected, covariance, place.keyframe_from_now)
+
+    def _between_fragments(self, graph: Graph) -> list[Link]:
+        """Return the loops that tie keyframes to places in other fragments."""
+        if len(self._fragments(graph)) < 2:
+            return []
+        links = []
+        # What a keyframe looks like does not change from round to round: each is asked once.
+        for index in self._known.order:
+            if index not in self._asked and graph.is_placed(index):
+                self._asked.add(index)
+                found = self.rejoin(self._known.expand(index), graph).trial
+                if found is not None and found.link is not None:
+                    links.append(found.link)
+        return links
+
+    def _fragments(self, graph: Graph) -> dict[int, list[int]]:
+        members: dict[int, list[int]] = {}
+        for index in self._known.order:
+            if graph.is_placed(index):
+                members.setdefault(graph[index].fragment, []).append(index)
+        return members
+
+    def _doubt(self, sigma_metres: float) -> NDArray[np.float64]:
+        """Return the (3, 3) covariance of a motion that errs by so much within the range."""
+        sigma = max(sigma_metres, _DRIFT_SHARE * self._reach)
+        turn = sigma / self._range
+        return np.diag([sigma, sigma, turn]) ** 2
+
+    def _attempt(self, attempt: _Attempt) -> Link | None:
+        """Compare two keyframes; None when nothing fits or it contradicts the poses."""
+        pair = attempt.a, attempt.b
+        failed = self._failed.get(pair)
+        if failed is not None and self._near(failed, attempt.guess):
+            return None
+        trial = self._known.compare(attempt.a, self._known.expand(attempt.b), attempt.guess)
+        surprising = not self._near(attempt.expected, attempt.guess)
+        if (
+            trial.link is None
+            or (surprising and not self._known.is_strong(trial))
+            or _contradiction(attempt, trial.link) > _MOST_CONTRADICTION
+        ):
+            self._failed[pair] = attempt.guess
+            return None
+        return trial.link
+
+    def _near(self, first: Pose2, second: Pose2) -> bool:
+        """Return whether a comparison about one guess looks where one about another would."""
+        apart = first.inverse() @ second
+        return (
+            apart.translation_length < self._reach / _GUESS_SIGMAS
+            and abs(apart.theta) < _SAME_RADIANS
+        )
+
+
+class _Ties:
+    """Which keyframes links tie, to within a keyframe's step."""
+
+    def __init__(self, known: Recogniser, links: Sequence[Link]) -> None:
+        self._known = known
+        self._tied: dict[int, list[int]] = {}
+        for link in links:
+            if link.a in known and link.b in known:
+                self.add(link)
+
+    def add(self, link: Link) -> None:
+        self._tied.setdefault(link.a, []).append(link.b)
+        self._tied.setdefault(link.b, []).append(link.a)
+
+    def beside(self, a: int, b: int) -> bool:
+        """Return whether b is tied to a already, or to a keyframe right before or after it."""
+        return any(
+            abs(self._known.steps_between(other, a)) <= _BESIDE for other in self._tied.get(b, [])
+        )
+
+
+def _uncertainty(link: Link) -> float:
+    """Return metres that a link may err by: its own sigma and a calibration's share."""
+    sigma = float(np.sqrt(np.linalg.eigvalsh(link.covariance[:2, :2])[1]))
+    return sigma + _DRIFT_SHARE * link.a_from_b.translation_length
+
+
+def _ways(poses: Sequence[Pose2]) -> list[float]:
+    """Return the way driven up to each pose, metres."""
+    steps = [path_length(pair) for pair in pairwise(poses)]
+    return [0.0, *accumulate(steps)]
+
+
+def _contradiction(attempt: _Attempt, link: Link) -> float:
+    """Return the squared Mahalanobis distance of a measured motion from what the poses say."""
+    error = attempt.expected.inverse() @ link.a_from_b
+    vector = np.array([error.x, error.y, error.theta])
+    return float(vector @ invert(attempt.covariance + link.covariance) @ vector)

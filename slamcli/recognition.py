@@ -1,0 +1,163 @@
+"""A frame of which nothing is known against the keyframes of a map: where it is, or why not.
+
+A frame's points recall places (`stages.places`); the motion that they vote for is compared like any
+other. With no pose to contradict a fit, much is asked of it, and a frame that recalls two spots of
+one map with equal right is ambiguous: neither is believed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from slamcli.comparison import compare
+from slamcli.keyframes import Expander
+from slamcli.stages.places import PlaceIndex
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamcli.comparison import Trial
+    from slamcli.core.config import MapperOptions
+    from slamcli.core.geometry import Grid, Pose2
+    from slamcli.core.records import Calibration, Features, Keyframe, Prepared
+    from slamcli.graph import Graph
+    from slamcli.stages.places import Place
+
+# A motion needs so many times the usual inliers, and pixels that agree well.
+_LEAST_INLIERS = 3
+_LEAST_SCORE = 0.5
+# So many spots of the map are compared with a frame that recalls them, from so many keyframes each.
+_MOST_SPOTS = 4
+_PLACES_OF_A_SPOT = 2
+# Two recalled places nearer than this, as a share of the range and in radians, are one spot; so
+# much more for each keyframe between them, as a map drifts.
+_SAME_SHARE_OF_RANGE = 0.1
+_SAME_RADIANS = 0.1
+_DRIFT_A_KEYFRAME = 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recognition:
+    """What came of it.
+
+    Attributes
+    ----------
+    trial : Trial or None
+        The believed one, with a link of kind ``loop``.
+    reason : str
+        Why there is none; empty when there is.
+    """
+
+    trial: Trial | None
+    reason: str
+
+
+class Recogniser:
+    """Keyframes that stay, to be found by what they look like.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    options : MapperOptions
+    grid : Grid
+        Of the views.
+    """
+
+    def __init__(self, calibration: Calibration, options: MapperOptions, grid: Grid) -> None:
+        self._calibration = calibration
+        # Floor that is seen again may lie at any angle.
+        self._options = replace(options, max_turn_degrees=180.0)
+        self._expander = Expander(grid)
+        self._index = PlaceIndex(options.matching.seed)
+        self._keyframes: dict[int, Keyframe] = {}
+        self.order: list[int] = []
+        self._number: dict[int, int] = {}
+
+    def __contains__(self, index: int) -> bool:
+        return index in self._number
+
+    @property
+    def keyframes(self) -> list[Keyframe]:
+        """All that are kept, in the order of their making."""
+        return [self._keyframes[index] for index in self.order]
+
+    def keep(self, keyframe: Keyframe) -> None:
+        """Keep one more keyframe."""
+        self._number[keyframe.index] = len(self.order)
+        self.order.append(keyframe.index)
+        self._keyframes[keyframe.index] = keyframe
+        self._index.add(keyframe.index, keyframe.features)
+
+    def steps_between(self, a: int, b: int) -> int:
+        """Return how many keyframes later than a the keyframe b was made."""
+        return self._number[b] - self._number[a]
+
+    def recall(self, features: Features, excluded: frozenset[int] = frozenset()) -> list[Place]:
+        """Return the keyframes that a frame's points recall, the likeliest first."""
+        return self._index.recall(features, excluded)
+
+    def expand(self, index: int) -> Prepared:
+        """Return a keyframe ready to be compared."""
+        return self._expander.expand(self._keyframes[index])
+
+    def compare(self, a: int, prepared: Prepared, guess: Pose2) -> Trial:
+        """Compare a frame with a keyframe; a link is of kind ``loop``."""
+        keyframe = self.expand(a)
+        trial = compare(keyframe, prepared, guess, self._calibration, self._options)
+        if trial.link is None:
+            return trial
+        return replace(trial, link=replace(trial.link, kind="loop"))
+
+    def is_strong(self, trial: Trial) -> bool:
+        """Return whether a comparison is to be believed without anything known beforehand."""
+        needed = _LEAST_INLIERS * self._options.matching.min_inliers
+        return (
+            trial.link is not None
+            and trial.alignment.accepted
+            and trial.alignment.inlier_count >= needed
+            and trial.link.score >= _LEAST_SCORE
+        )
+
+    def believe(self, prepared: Prepared, places: Sequence[Place], graph: Graph) -> Recognition:
+        """Compare a frame with the spots that it recalls; believe one spot or none."""
+        spots: list[list[Place]] = []
+        for place in places:
+            if not graph.is_placed(place.keyframe):
+                continue
+            spot = next((s for s in spots if self._same_spot(s[0], place, graph)), None)
+            if spot is None:
+                spots.append([place])
+            else:
+                spot.append(place)
+        tried = [self._first_strong(prepared, spot) for spot in spots[:_MOST_SPOTS]]
+        believed = [trial for trial in tried if trial is not None]
+        if len(believed) == 1:
+            return Recognition(believed[0], "")
+        if believed:
+            return Recognition(None, f"ambiguous: {len(believed)} spots of the map look like it")
+        if not spots:
+            return Recognition(None, "not here: it recalls no place of the map")
+        return Recognition(
+            None, f"not here: it resembles {len(spots)} spots of the map, but the pixels differ"
+        )
+
+    def _first_strong(self, prepared: Prepared, spot: Sequence[Place]) -> Trial | None:
+        """Return the first comparison with a spot's keyframes that is to be believed."""
+        for place in spot[:_PLACES_OF_A_SPOT]:
+            trial = self.compare(place.keyframe, prepared, place.keyframe_from_now)
+            if self.is_strong(trial):
+                return trial
+        return None
+
+    def _same_spot(self, first: Place, second: Place, graph: Graph) -> bool:
+        """Return whether two recalled places say the same of where the frame is."""
+        if graph[first.keyframe].fragment != graph[second.keyframe].fragment:
+            return False
+        one, other = (
+            graph.pose(place.keyframe) @ place.keyframe_from_now for place in (first, second)
+        )
+        apart = one.inverse() @ other
+        drift = _DRIFT_A_KEYFRAME * abs(self.steps_between(first.keyframe, second.keyframe))
+        near = (_SAME_SHARE_OF_RANGE + drift) * self._calibration.max_range_metres
+        return apart.translation_length < near and abs(apart.theta) < _SAME_RADIANS + drift

@@ -1,0 +1,130 @@
+"""Which frames can have seen the same floor, by their poses and how sure these are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.sparse import csgraph, csr_array
+from scipy.spatial import ConvexHull, KDTree
+
+from slamcli.core.geometry import compose_poses, relative_poses
+from slamcli.stages import camera
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import Calibration
+
+_SAMPLES_A_SIDE = 14
+_FRAMES_AT_ONCE = 64
+
+
+class Footprint:
+    """The floor that a camera sees, as a convex outline and points that fill it evenly.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    """
+
+    def __init__(self, calibration: Calibration) -> None:
+        hull = ConvexHull(camera.footprint_hull(calibration))
+        # Inside is where normal . point + offset <= 0 for every edge.
+        self._normals, self._offsets = hull.equations[:, :2], hull.equations[:, 2]
+        corners = hull.points[hull.vertices]
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        steps = (np.arange(_SAMPLES_A_SIDE) + 1.0) / (_SAMPLES_A_SIDE + 1.0)
+        x, y = np.meshgrid(*(low[axis] + steps * (high - low)[axis] for axis in (0, 1)))
+        lattice = np.column_stack([x.ravel(), y.ravel()])
+        self._points = lattice[self._inside(lattice)]
+        self.centre = self._points.mean(axis=0)
+        self.radius_metres = float(np.linalg.norm(corners - self.centre, axis=1).max())
+
+    def overlaps(self, a_from_b: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the shares of b's floor that a sees too, for (N, 3) motions x, y, theta."""
+        cosine, sine = np.cos(a_from_b[:, 2:]), np.sin(a_from_b[:, 2:])
+        x, y = self._points.T
+        places = np.stack(
+            [
+                cosine * x - sine * y + a_from_b[:, :1],
+                sine * x + cosine * y + a_from_b[:, 1:2],
+            ],
+            axis=-1,
+        )
+        shares: NDArray[np.float64] = self._inside(places).mean(axis=-1)
+        return shares
+
+    def _inside(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        edges = points @ self._normals.T + self._offsets
+        return np.asarray((edges <= 0.0).all(axis=-1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pairs:
+    """What one frame, b, may have in common with earlier ones.
+
+    Attributes
+    ----------
+    b : int
+        Place of the frame in the arrays that were given.
+    a : (N,) int64
+        Places of the others, most overlap first.
+    a_from_b : (N, 3) float64
+    uncertainties : (N,) float64
+        Metres that the motion may err by, one sigma.
+    """
+
+    b: int
+    a: NDArray[np.int64]
+    a_from_b: NDArray[np.float64]
+    uncertainties: NDArray[np.float64]
+
+
+def pairs(
+    poses: NDArray[np.float64],
+    tied: NDArray[np.int64],
+    uncertainties: NDArray[np.float64],
+    footprint: Footprint,
+    *,
+    least_overlap: float,
+    most_uncertainty: float,
+) -> Iterator[Pairs]:
+    """Yield, for each frame, the earlier ones that see so much of its floor if the poses are right.
+
+    How far two poses may be wrong is added up along the surest way of links between them: an upper
+    bound, as a calibration's errors add up and noise does less. The cost of a frame depends on how
+    much floor is near to it, not on how large the map is.
+
+    Parameters
+    ----------
+    poses : (N, 3) float64
+        ``map_from_robot`` of one fragment's frames in their order.
+    tied : (M, 2) int64
+        Pairs of places in `poses` that links tie.
+    uncertainties : (M,) float64
+        Metres that each link may err by, one sigma.
+    footprint : Footprint
+    least_overlap : float
+    most_uncertainty : float
+        Metres beyond which the poses of two frames do not tell their motion.
+    """
+    middles = compose_poses(poses, np.array([*footprint.centre, 0.0]))[:, :2]
+    tree = KDTree(middles)
+    # A sparse zero would be no link.
+    steps = np.maximum(uncertainties, 1e-12)
+    graph = csr_array((steps, (tied[:, 0], tied[:, 1])), shape=(len(poses), len(poses)))
+    for first in range(0, len(poses), _FRAMES_AT_ONCE):
+        chunk = np.arange(first, min(first + _FRAMES_AT_ONCE, len(poses)))
+        reach = csgraph.dijkstra(graph, directed=False, indices=chunk, limit=most_uncertainty)
+        for b, sigmas in zip(chunk, reach, strict=True):
+            near = tree.query_ball_point(middles[b], 2.0 * footprint.radius_metres)
+            earlier = np.array([a for a in near if a < b and np.isfinite(sigmas[a])], np.int64)
+            motions = relative_poses(poses[earlier], poses[b])
+            shares = footprint.overlaps(motions)
+            order = np.lexsort((earlier, -shares))
+            order = order[shares[order] >= least_overlap]
+            yield Pairs(int(b), earlier[order], motions[order], sigmas[earlier[order]])

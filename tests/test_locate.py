@@ -1,0 +1,175 @@
+"""`slam locate` and the map file: found where one is, nowhere else, and safe to open."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import slamcli
+from slamcli.cli import main
+from slamcli.core.geometry import Pose2
+from slamcli.core.simulation import CameraOptions, DisturbanceOptions
+from slamcli.io.files import write_image
+from slamcli.io.maps import load_map, save_map
+from slamcli.stages.simulate import floors, photograph
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
+
+
+@pytest.fixture(scope="module")
+def photographer() -> photograph.Photographer:
+    floor = floors.make_floor("asphalt", 0.0, 0.001, seed=3)
+    return photograph.Photographer(photograph.World(floor), photograph.make_camera(CAMERA))
+
+
+def take(photographer: photograph.Photographer, pose: Pose2, seed: int) -> np.ndarray:
+    generator = np.random.default_rng(seed)
+    return photograph.take(photographer, (pose, pose), 0.0, DisturbanceOptions(), generator)
+
+
+@pytest.fixture(scope="module")
+def map_file(
+    photographer: photograph.Photographer, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    mapper = slamcli.Mapper(photographer.calibration)
+    for index in range(8):
+        mapper.update(take(photographer, Pose2(0.06 * index), index))
+    mapper.finish()
+    found = mapper.floor_map()
+    assert found is not None
+    path = tmp_path_factory.mktemp("map") / "map.slam"
+    save_map(path, found)
+    return path
+
+
+def test_frames_are_found_at_any_heading_and_no_other_floor_is(
+    photographer: photograph.Photographer, map_file: Path
+) -> None:
+    locator = slamcli.Locator(slamcli.load_map(map_file))
+    middle = Pose2(0.22)
+    for number in range(6):
+        turn = Pose2(0.0, 0.0, number * math.tau / 6)
+        truth = Pose2(0.05 * number, 0.02) @ middle @ turn @ middle.inverse()
+        estimate = locator.locate(take(photographer, truth, 100 + number))
+        assert estimate.map_from_robot is not None, estimate.reason
+        error = truth.inverse() @ estimate.map_from_robot
+        assert error.translation_length < 0.002
+        assert abs(math.degrees(error.theta)) < 0.3
+        assert estimate.covariance is not None
+        assert np.all(np.linalg.eigvalsh(estimate.covariance) > 0)
+    for number in range(4):
+        estimate = locator.locate(take(photographer, Pose2(6.0 + number, 3.0), 200 + number))
+        assert estimate.status == "lost"
+        assert estimate.reason.startswith("not here")
+    assert locator.locate(np.zeros((240, 320, 3), np.uint8)).reason
+
+
+def test_a_map_comes_back_as_it_was_saved(map_file: Path, tmp_path: Path) -> None:
+    floor_map = load_map(map_file)
+    save_map(tmp_path / "again.slam", floor_map)
+    assert (tmp_path / "again.slam").read_bytes() == map_file.read_bytes()
+    assert load_map(map_file.parent).metres_per_pixel == floor_map.metres_per_pixel
+    assert all(keyframe.features.descriptors.dtype == np.uint8 for keyframe in floor_map.keyframes)
+
+
+def forged(map_file: Path, change: Any) -> bytes:
+    """Return a map with another header and a checksum that is right."""
+    data = map_file.read_bytes()
+    start = data.index(b"\n") + 1 + 32
+    length = int.from_bytes(data[start : start + 8], "little")
+    header = json.loads(data[start + 8 : start + 8 + length])
+    rest = change(header, data[start + 8 + length :])
+    text = json.dumps(header).encode()
+    body = len(text).to_bytes(8, "little") + text + rest
+    return data[: start - 32] + hashlib.sha256(body).digest() + body
+
+
+def set_to(*keys: Any, value: Any) -> Any:
+    def change(header: Any, rest: bytes) -> bytes:
+        for key in keys[:-1]:
+            header = header[key]
+        header[keys[-1]] = value
+        return rest
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (set_to("arrays", "points", 1, value=[10**9, 2]), "cut off"),
+        (set_to("arrays", "points", 0, value="|O"), "kind"),
+        (set_to("arrays", "rows", 1, value=[-1, 6]), "shape"),
+        (set_to("features", "count", value=10**9), "count"),
+        (set_to("features", "method", value="../orb"), "method"),
+        (set_to("calibration", "image_size", value=[10**6, 10]), "image_size"),
+        (set_to("calibration", "distortion_model", value="magic"), "distortion_model"),
+        (set_to("calibration", "robot_from_image", value=[[0] * 3] * 3), "inverted"),
+        (set_to("metres_per_pixel", value=float("nan")), "metres_per_pixel"),
+        (set_to("norm", value="l3"), "norm"),
+        (lambda header, rest: rest[:-1], "cut off"),
+        (lambda header, rest: rest + b"x", "after its end"),
+        (lambda header, rest: b"\xff" * 8 + rest[8:], "numbers of its keyframes"),
+        (lambda header, rest: (header.clear(), rest)[1], "not a sound map"),
+    ],
+)
+def test_a_forged_map_is_refused_in_one_line(
+    map_file: Path, tmp_path: Path, change: Any, told: str
+) -> None:
+    path = tmp_path / "forged.slam"
+    path.write_bytes(forged(map_file, change))
+    with pytest.raises(slamcli.MapError, match=told) as caught:
+        load_map(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda data: data[:-1] + b"\0\0", "damaged"),
+        (lambda data: data.replace(b"map 1\n", b"map 9\n", 1), "format version 9"),
+        (lambda data: b"PK\x03\x04" + data, "not a map"),
+        (lambda data: b"", "not a map"),
+    ],
+)
+def test_a_spoilt_map_is_refused_in_one_line(
+    map_file: Path, tmp_path: Path, spoil: Any, told: str
+) -> None:
+    path = tmp_path / "spoilt.slam"
+    path.write_bytes(spoil(map_file.read_bytes()))
+    with pytest.raises(slamcli.MapError, match=told):
+        load_map(path)
+    result = CliRunner().invoke(main, ["locate", str(path), str(tmp_path)])
+    assert result.exit_code == 1
+    assert result.output.startswith("Error: ")
+
+
+def test_the_command_tells_where_frames_are(
+    photographer: photograph.Photographer, map_file: Path, tmp_path: Path
+) -> None:
+    write_image(tmp_path / "a.png", take(photographer, Pose2(0.1, 0.01, 0.1), 300))
+    write_image(tmp_path / "b.png", take(photographer, Pose2(9.0), 301))
+    (tmp_path / "c.png").write_bytes(b"not a picture")
+    frames = [str(tmp_path / f"{name}.png") for name in "abc"]
+    table = tmp_path / "found.csv"
+    result = CliRunner().invoke(main, ["locate", str(map_file), *frames, "-o", str(table)])
+    assert result.exit_code == 0, result.output
+    assert "1 of 3 frames are on the map" in result.output
+    rows = table.read_text().splitlines()
+    assert len(rows) == 4
+    assert rows[1].split(",")[3] == "tracked"
+    told = CliRunner().invoke(main, ["locate", str(map_file), *frames, "--json"])
+    entries = json.loads(told.stdout)
+    assert [entry["here"] for entry in entries] == [True, False, False]
+    assert math.hypot(entries[0]["x"] - 0.1, entries[0]["y"] - 0.01) < 0.002
+    alone = CliRunner().invoke(main, ["locate", str(map_file), frames[1]])
+    assert alone.exit_code == 1

@@ -1,0 +1,184 @@
+"""Floor that is seen again: loops closed, a carried robot known, and nothing false believed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import slamcli
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import Frame
+from slamcli.core.simulation import CameraOptions, DisturbanceOptions
+from slamcli.graph import Graph
+from slamcli.keyframes import Expander, compress
+from slamcli.loops import Loops
+from slamcli.stages import covisibility, dense
+from slamcli.stages.simulate import floors, photograph
+
+CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
+LOOP_FRAMES = 26
+# Round a circle a little more than once, so that the end sees the beginning.
+CIRCLE = [
+    Pose2(0.25 * math.sin(a), 0.25 * (1.0 - math.cos(a)), a)
+    for a in np.linspace(0.0, 1.1 * math.tau, LOOP_FRAMES)
+]
+
+
+@pytest.fixture(scope="module")
+def photographer() -> photograph.Photographer:
+    floor = floors.make_floor("asphalt", 0.0, 0.001, seed=3)
+    return photograph.Photographer(photograph.World(floor), photograph.make_camera(CAMERA))
+
+
+def take(photographer: photograph.Photographer, pose: Pose2, seed: int) -> np.ndarray:
+    generator = np.random.default_rng(seed)
+    return photograph.take(photographer, (pose, pose), 0.0, DisturbanceOptions(), generator)
+
+
+def drive(
+    photographer: photograph.Photographer, poses: list[Pose2], options: slamcli.MapperOptions
+) -> slamcli.Mapper:
+    mapper = slamcli.Mapper(photographer.calibration, options)
+    for index, pose in enumerate(poses):
+        mapper.update(take(photographer, pose, index))
+    return mapper
+
+
+def worst_metres(estimates: list[slamcli.PoseEstimate], truth: list[Pose2]) -> float:
+    worst = 0.0
+    for estimate in estimates:
+        assert estimate.map_from_robot is not None, estimate.reason
+        error = truth[estimate.index].inverse() @ estimate.map_from_robot
+        worst = max(worst, error.translation_length)
+    return worst
+
+
+@pytest.fixture(scope="module")
+def circle(photographer: photograph.Photographer) -> slamcli.Mapper:
+    return drive(photographer, CIRCLE, slamcli.MapperOptions())
+
+
+def test_a_loop_is_closed_by_true_links_alone(circle: slamcli.Mapper) -> None:
+    assert not [link for link in circle.links if link.kind == "loop"]
+    assert worst_metres(circle.finish(), CIRCLE) < 0.001
+    loops = [link for link in circle.links if link.kind == "loop"]
+    assert any(link.b - link.a > LOOP_FRAMES * 3 // 4 for link in loops)
+    for link in loops:
+        error = (CIRCLE[link.a].inverse() @ CIRCLE[link.b]).inverse() @ link.a_from_b
+        assert error.translation_length < 0.001
+    before = len(circle.links)
+    circle.finish()
+    assert len(circle.links) == before
+
+
+def test_a_carried_robot_is_known_again_and_never_placed_while_away(
+    photographer: photograph.Photographer,
+) -> None:
+    known = [Pose2(0.05 * n, 0.0, 0.0) for n in range(8)]
+    away = [Pose2(8.0 + 0.05 * n, 5.0, 1.0) for n in range(3)]
+    # Back on the first lane, crossed at another heading.
+    start = Pose2(0.42, -0.2, 1.9)
+    back = [start @ Pose2(0.04 * n) for n in range(3)]
+    truth = [*known, *away, *back]
+    mapper = slamcli.Mapper(photographer.calibration)
+    streamed = [mapper.update(take(photographer, pose, n)) for n, pose in enumerate(truth)]
+    assert [estimate.fragment for estimate in streamed[: len(known)]] == [0] * len(known)
+    assert all(estimate.fragment != 0 for estimate in streamed[len(known) : -len(back)])
+    rejoined = [e for e in streamed[-len(back) :] if e.fragment == 0]
+    assert rejoined
+    for estimate in rejoined:
+        assert estimate.map_from_robot is not None
+        error = truth[estimate.index].inverse() @ estimate.map_from_robot
+        assert error.translation_length < 0.002
+        assert abs(math.degrees(error.theta)) < 0.3
+    final = {estimate.index: estimate for estimate in mapper.finish()}
+    assert all(final[n].fragment != 0 for n in range(len(known), len(known) + len(away)))
+
+
+def test_without_loops_a_drive_is_a_chain(photographer: photograph.Photographer) -> None:
+    poses = [CIRCLE[0], CIRCLE[1], Pose2(5.0), Pose2(5.05), CIRCLE[0] @ Pose2(0.0, 0.01, 0.1)]
+    mapper = drive(photographer, poses[:2], slamcli.MapperOptions(loops=False))
+    mapper.finish()
+    assert {link.kind for link in mapper.links} == {"step"}
+
+
+def test_a_motion_that_the_poses_contradict_is_not_believed(circle: slamcli.Mapper) -> None:
+    """The pixels say where the frames are; poses that are sure of another place say no."""
+    kept = circle._loops
+    honest = list(kept.close(_graph_of(circle, CIRCLE, loops=False)))
+    assert honest
+    shifted = [pose if n < 13 else Pose2(0.3) @ pose for n, pose in enumerate(CIRCLE)]
+    kept._failed.clear()
+    graph = _graph_of(circle, shifted, loops=False)
+    firm = [link for link in kept.close(graph) if (link.a < 13) != (link.b < 13)]
+    assert not firm
+
+
+def _graph_of(mapper: slamcli.Mapper, poses: list[Pose2], *, loops: bool) -> Graph:
+    graph = Graph()
+    graph.links = [link for link in mapper.links if loops or link.kind != "loop"]
+    for estimate in mapper.estimates:
+        covariance = np.diag([1e-8, 1e-8, 1e-8])
+        pose = poses[estimate.index]
+        graph.adopt(replace(estimate, map_from_robot=pose, covariance=covariance))
+    return graph
+
+
+def test_two_spots_that_look_alike_are_ambiguous(photographer: photograph.Photographer) -> None:
+    mapper = drive(photographer, [Pose2(0.05 * n) for n in range(3)], slamcli.MapperOptions())
+    loops = Loops(photographer.calibration, mapper.options, mapper.grid)
+    graph = Graph()
+    for index, place in enumerate([Pose2(), Pose2(4.0)]):
+        picture = take(photographer, Pose2(), index)
+        prepared = mapper.prepare(Frame(index, str(index), None, picture))
+        loops.remember(prepared)
+        estimate = mapper.estimates[0]
+        graph.adopt(replace(estimate, index=index, map_from_robot=place))
+    prepared = mapper.prepare(Frame(9, "9", None, take(photographer, Pose2(0.05), 9)))
+    found = loops.recognise(prepared, graph, after_break=True)
+    assert found.trial is None
+    assert "ambiguous" in found.reason
+
+
+def test_a_kept_keyframe_compares_like_the_frame_itself(
+    photographer: photograph.Photographer,
+) -> None:
+    mapper = slamcli.Mapper(photographer.calibration)
+    first, second = (
+        mapper.prepare(Frame(n, str(n), None, take(photographer, Pose2(0.05 * n), n)))
+        for n in range(2)
+    )
+    again = Expander(mapper.grid).expand(compress(first))
+    size = len(compress(first).image) + len(compress(first).mask)
+    assert size < sum(level.detail.nbytes for level in first.levels) / 10
+    true, kept = (dense.agreement(p.levels[0], second.levels[0], np.eye(3)) for p in (first, again))
+    assert kept.overlap == true.overlap
+    assert kept.correlation == pytest.approx(true.correlation, abs=0.02)
+
+
+def test_a_kept_keyframe_has_the_same_sift_descriptors(
+    photographer: photograph.Photographer,
+) -> None:
+    options = slamcli.MapperOptions(features=slamcli.FeatureOptions(method="sift", count=200))
+    mapper = slamcli.Mapper(photographer.calibration, options)
+    prepared = mapper.prepare(Frame(0, "0", None, take(photographer, Pose2(), 0)))
+    kept = compress(prepared)
+    again = Expander(mapper.grid).expand(kept)
+    assert kept.features.descriptors.dtype == np.uint8
+    assert prepared.features is not None
+    assert again.features is not None
+    assert again.features.descriptors.dtype == np.float32
+    np.testing.assert_array_equal(again.features.descriptors, prepared.features.descriptors)
+
+
+def test_overlap_of_footprints_is_that_of_the_views(photographer: photograph.Photographer) -> None:
+    mapper = slamcli.Mapper(photographer.calibration)
+    seen = mapper.prepare(Frame(0, "0", None, take(photographer, Pose2(), 0))).view
+    assert seen is not None
+    footprint = covisibility.Footprint(photographer.calibration)
+    for pose in (Pose2(), Pose2(0.1), Pose2(0.05, 0.1, 0.4), Pose2(0.6, 0.0, 3.1), Pose2(3.0)):
+        share = footprint.overlaps(np.array([[pose.x, pose.y, pose.theta]]))[0]
+        assert share == pytest.approx(dense.overlap(seen, seen, pose), abs=0.06)
