@@ -20,9 +20,8 @@ _BACKING = 3
 # A narrow strip of the floor fits elsewhere too, or with another turn.
 _LEAST_DENSE_OVERLAP = 0.2
 # Where so many of the telling patches agree, what disagrees stands on the floor; where features
-# without number agree too, few patches are enough.
+# without number agree too, as many as must in any case are enough.
 _CONFIRMED = 0.5
-_CONFIRMED_BESIDE_FEATURES = 0.2
 _LEAST_CONFIRMED = 0.35
 # On a floor with too few patches to vote, the little that there is must agree by so much better
 # where the camera's noise hides whether the rest does.
@@ -33,7 +32,7 @@ def convincing(alignment: Alignment, fit: Hypothesis, options: MapperOptions) ->
     """Return whether features and pixels together leave no reason to look for another motion."""
     return many(alignment, options) and (
         fit.agreed.correlation >= options.convincing_score
-        or fit.agreed.confirmed >= _CONFIRMED_BESIDE_FEATURES
+        or fit.agreed.confirmed >= _LEAST_CONFIRMED
     )
 
 
@@ -68,13 +67,12 @@ def implausible(fit: Hypothesis, options: MapperOptions, *, beside_features: boo
             f"the fit leaves an overlap of {fit.agreed.overlap:.0%}; "
             f"at least {options.min_overlap:.0%} is needed"
         )
-    least = _CONFIRMED_BESIDE_FEATURES if beside_features else _LEAST_CONFIRMED
-    if fit.agreed.confirmed < least:
+    if fit.agreed.confirmed < _LEAST_CONFIRMED:
         return (
             f"only {fit.agreed.confirmed:.0%} of the floor's patches agree with the fit; "
-            f"at least {least:.0%} must"
+            f"at least {_LEAST_CONFIRMED:.0%} must"
         )
-    enough = _CONFIRMED_BESIDE_FEATURES if beside_features else _CONFIRMED
+    enough = _LEAST_CONFIRMED if beside_features else _CONFIRMED
     if not fit.agreed.correlation >= options.min_score and not fit.agreed.confirmed >= enough:
         return (
             f"the pixels disagree with the fit: correlation {fit.agreed.correlation:.2f}; "

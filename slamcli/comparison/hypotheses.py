@@ -138,13 +138,31 @@ def polish(
     for tilt in tilts[1:] if pair.far else tilts:
         if best.covariance is not None and _steady(best):
             break
-        refined = dense.refine(pair.a[levels], pair.b[levels], best.pose, calibration, tilt)
+        # Each from where the features or the search led: without the rocking that there is, the
+        # refinement may have gone astray.
+        refined = dense.refine(pair.a[levels], pair.b[levels], pose, calibration, tilt)
         if refined is None:
-            break
+            continue
         fit = judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
-        if best.covariance is None or _better(fit, best, rocking=tilt > 0.0):
+        if best.covariance is None or (
+            _better(fit, best, rocking=tilt > 0.0) and _holds(fit, best, calibration, options)
+        ):
             best = fit
     return best
+
+
+def _holds(
+    fit: Hypothesis, other: Hypothesis, calibration: Calibration, options: MapperOptions
+) -> bool:
+    """Return whether the pixels hold a motion in every direction, or no less than another's do."""
+    least = (options.max_sigma_share * calibration.max_range_metres) ** 2
+    return _widest(fit) <= max(least, _widest(other))
+
+
+def _widest(fit: Hypothesis) -> float:
+    """Return the variance of the motion in the direction in which it is known worst."""
+    assert fit.covariance is not None
+    return float(np.linalg.eigvalsh(fit.covariance[:2, :2])[1])
 
 
 def _steady(fit: Hypothesis) -> bool:

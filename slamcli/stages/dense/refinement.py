@@ -43,6 +43,7 @@ _CHANCE_SIGMAS = 2.0
 _STAIRS = 0.01
 # Neighbouring residuals are not independent: interpolation and blur tie about this many together.
 _CORRELATED_PIXELS = 48.0
+_SYSTEMATIC_PIXELS = 0.03
 _REMAP_COLUMNS = 256
 # A robot that rocks by a radian bounces by so many times its camera's height.
 _HEIGHT_SHARE_PER_RADIAN = 3.0
@@ -123,9 +124,17 @@ def refine(
     moved = (a_from_b.inverse() @ state.a_from_b).translation_length
     if covariance is None or moved > _MOST_SHIFT_PIXELS * levels_a[-1].metres_per_pixel:
         return None
+    covariance = covariance + _systematic(levels_a[0])
     shown_a = _shown_from_floor(calibration, state.mounting_a)
     shown_b = _shown_from_floor(calibration, state.mounting_b)
     return Refinement(state.a_from_b, covariance, shown_a @ state.a_from_b.matrix @ invert(shown_b))
+
+
+def _systematic(finest: DenseLevel) -> NDArray[np.float64]:
+    """Return the (3, 3) covariance of what no residual shows: interpolation, blur, smear."""
+    sigma = _SYSTEMATIC_PIXELS * finest.metres_per_pixel
+    reach = float(np.hypot(*np.ptp(finest.points, axis=0))) / 2.0
+    return np.diag([sigma**2, sigma**2, (sigma / reach) ** 2])
 
 
 def _sampled(level: DenseLevel) -> DenseLevel:
