@@ -136,7 +136,7 @@ def polish(
     # shifts by much for a little tilt, and is never compared without.
     tilts = (0.0, steady) if covariance is None else (0.0, steady, _ROCKING_TIMES * steady)
     for tilt in tilts[1:] if pair.far else tilts:
-        if best.covariance is not None and _steady(best):
+        if tilt > 0.0 and best.covariance is not None and _steady(best):
             break
         # Each from where the features or the search led: without the rocking that there is, the
         # refinement may have gone astray.

@@ -42,8 +42,8 @@ _CHANCE_SIGMAS = 2.0
 # and not with the floor: such a share of an edge's gradient along it tells nothing.
 _STAIRS = 0.01
 # Neighbouring residuals are not independent: interpolation and blur tie about this many together.
-_CORRELATED_PIXELS = 48.0
-_SYSTEMATIC_PIXELS = 0.03
+_CORRELATED_PIXELS = 24.0
+_SYSTEMATIC_PIXELS = 0.02
 _REMAP_COLUMNS = 256
 # A robot that rocks by a radian bounces by so many times its camera's height.
 _HEIGHT_SHARE_PER_RADIAN = 3.0
