@@ -57,7 +57,7 @@ def main() -> None:
 @options.frames
 @options.calibration
 @options.output("the map (default: the folder's name with _mosaic)")
-@options.metres_per_pixel
+@options.product_options
 @options.max_range
 @click.option("--frame-rate", type=options.POSITIVE, help="Frames per second, for stamps.")
 @click.option("--debug", is_flag=True, help="Also draw every frame's matches, into matches/.")
@@ -91,7 +91,7 @@ def stitch(
 
     resolved = StitchOptions(
         mapper=options.mapper_of(told),
-        metres_per_pixel=told["metres_per_pixel"],
+        products=options.products_of(told),
         max_range_metres=told["max_range"],
         frame_rate=told["frame_rate"],
         debug=told["debug"],
@@ -101,7 +101,13 @@ def stitch(
     folder = output or default_output(frames[0], "mosaic")
     with ProgressBar() as progress:
         report = run_stitch(
-            frames, calibration, folder, resolved, overwrite=overwrite, progress=progress
+            frames,
+            calibration,
+            folder,
+            resolved,
+            overwrite=overwrite,
+            progress=progress,
+            tell=progress.tell,
         )
     click.echo("\n".join(report.lines))
     sys.exit(report.exit_code)

@@ -31,6 +31,7 @@ FLOORS = {
 TOP = max(FLOORS.values())
 ONE_ROOM = {
     "gtsam": "stages/posegraph",
+    "rasterio": "io/geotiff",
     "tqdm": "progress",
     "click": ("cli", "options", "progress"),
 }

@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
 from slamcli import __version__
-from slamcli.core.errors import FrameError, InputError
+from slamcli.core.config import ProductOptions
+from slamcli.core.errors import FrameError
 from slamcli.core.geometry import apply_homography, invert, path_length
 from slamcli.core.records import Prepared
-from slamcli.io import rasters, tables
+from slamcli.io import tables
 from slamcli.io.files import output_folder, write_image
 from slamcli.io.frames import read_frame
 from slamcli.io.poses import write_poses
 from slamcli.mapper import Mapper, placed_fragments
-from slamcli.painter import Painter
-from slamcli.run import exports
+from slamcli.run import exports, products
 from slamcli.run.executor import ordered
 from slamcli.run.inputs import open_inputs
-from slamcli.stages import camera, view
+from slamcli.run.painting import make_scene, turned
+from slamcli.stages import view
 from slamcli.stages.draw.matches import draw_matches
-from slamcli.stages.draw.trajectory import draw_trajectory
-from slamcli.stages.mosaic import Canvas
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     import numpy as np
@@ -34,24 +33,13 @@ if TYPE_CHECKING:
 
     from slamcli.comparison import Trial
     from slamcli.core.config import MapperOptions
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import PoseEstimate, Tile
+    from slamcli.core.records import PoseEstimate
     from slamcli.io.frames import FrameFile
     from slamcli.run.executor import Progress
     from slamcli.run.inputs import Inputs
 
-PRODUCTS = (
-    "mosaic*.png",
-    "mosaic*.yaml",
-    "mosaic*.pgw",
-    "poses.csv",
-    "trajectory*.png",
-    "run.toml",
-    *exports.PRODUCTS,
-)
+PRODUCTS = ("poses.csv", "run.toml", *products.PRODUCTS, *exports.PRODUCTS)
 DEBUG_PRODUCTS = "matches"
-# A PNG of more than this would not open in most viewers.
-LARGEST_MOSAIC_PIXELS = 400_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +49,8 @@ class StitchOptions:
     Attributes
     ----------
     mapper : MapperOptions
-    metres_per_pixel : float or None
-        Of the mosaic; None chooses it from the camera's sampling.
+    products : ProductOptions
+        What is painted and written.
     max_range_metres : float or None
         Overrides the calibration's far limit.
     frame_rate : float or None
@@ -76,7 +64,7 @@ class StitchOptions:
     """
 
     mapper: MapperOptions
-    metres_per_pixel: float | None = None
+    products: ProductOptions = field(default_factory=ProductOptions)
     max_range_metres: float | None = None
     frame_rate: float | None = None
     debug: bool = False
@@ -100,6 +88,7 @@ def stitch(
     *,
     overwrite: bool,
     progress: Progress,
+    tell: Callable[[str], None],
 ) -> StitchReport:
     """Map the frames of folders or files into `output`.
 
@@ -110,10 +99,11 @@ def stitch(
     started = time.monotonic()
     inputs = open_inputs(sources, calibration_path, options.frame_rate, options.max_range_metres)
     exports.check_exports(options.export, inputs.files)
+    products.check_formats(options.products)
     with output_folder(output, (*PRODUCTS, DEBUG_PRODUCTS), overwrite=overwrite) as staging:
         mapper = Mapper(inputs.calibration, options.mapper)
         estimates = _locate(mapper, inputs, options, staging, progress)
-        area = _write_maps(inputs, estimates, options, staging, progress)
+        area = _write_maps(inputs, estimates, options, staging, progress, tell)
         write_poses(staging / "poses.csv", estimates)
         seconds = time.monotonic() - started
         exports.write_exports(staging, options.export, estimates, mapper.links)
@@ -191,53 +181,16 @@ def _write_maps(
     options: StitchOptions,
     staging: Path,
     progress: Progress,
+    tell: Callable[[str], None],
 ) -> float:
     """Second walk: paint every fragment; return the floor seen in all, in square metres."""
-    fragments = placed_fragments(estimates)
-    total = sum(len(members) for members in fragments.values())
-    metres_per_pixel = options.metres_per_pixel or camera.default_metres_per_pixel(
-        inputs.calibration
-    )
-    area, done = 0.0, 0
-    for fragment, members in fragments.items():
-        suffix = "" if fragment == 0 else f"_{fragment}"
-        painter = Painter(inputs.calibration, metres_per_pixel)
-        _check_extent(painter, members)
-        canvas = Canvas(metres_per_pixel)
-        jobs = [(inputs.files[e.index], e.map_from_robot) for e in members if e.map_from_robot]
-        for patch in ordered(partial(_paint, painter), jobs, options.workers):
-            canvas.paint(patch)
-            done += 1
-            progress("painting", done, total)
-        grid = canvas.extent()
-        if grid is None:
-            continue
-        area += canvas.seen_area()
-        image, mask = canvas.flatten(grid)
-        name = f"mosaic{suffix}.png"
-        rasters.write_georeferenced_png(staging / name, image, mask, grid)
-        rasters.write_nav2_map(
-            staging / f"mosaic{suffix}.yaml", name, grid, inputs.calibration.unit
-        )
-        drawing = draw_trajectory(image, mask, grid, members, inputs.calibration.unit)
-        write_image(staging / f"trajectory{suffix}.png", drawing)
-    return area
-
-
-def _paint(painter: Painter, job: tuple[FrameFile, Pose2]) -> Tile:
-    file, map_from_robot = job
-    return painter.patch(read_frame(file), map_from_robot)
-
-
-def _check_extent(painter: Painter, members: Sequence[PoseEstimate]) -> None:
-    """Refuse a mosaic too large for one PNG before it is painted, and say what would fit."""
-    grid = painter.extent([e.map_from_robot for e in members if e.map_from_robot is not None])
-    if grid.width * grid.height > LARGEST_MOSAIC_PIXELS:
-        fitting = grid.metres_per_pixel * (grid.width * grid.height / LARGEST_MOSAIC_PIXELS) ** 0.5
-        raise InputError(
-            f"the mosaic would have {grid.width}x{grid.height} pixels; "
-            f"use --metres-per-pixel {fitting * 1.05:.2g} or more"
-        )
+    scenes = []
+    for members in placed_fragments(estimates).values():
+        files = [inputs.files[estimate.index] for estimate in members]
+        poses = [e.map_from_robot for e in members if e.map_from_robot is not None]
+        scene = make_scene(inputs.calibration, files, poses, None, options.products.turn_radians)
+        scenes.append((scene, turned(members, scene)))
+    return products.write_maps(scenes, options.products, staging, options.workers, progress, tell)
 
 
 def _write_run(

@@ -1,0 +1,104 @@
+"""Which views of a spot show the floor: those that the others, the near ones first, agree with.
+
+What stands on the floor leans away from the camera and looks different from everywhere; what moves
+is there for some views only. Either way it disagrees with the floor that other views show.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# So much, and so large a share of the brightness, may views of one floor differ by: noise, lamps.
+_TOLERANCE_GRAY = 12.0
+_TOLERANCE_SHARE = 0.08
+# A difference beyond this tells no more.
+_GREATEST_DIFFERENCE_GRAY = 48
+# Two views that differ do not tell which one is right.
+_LEAST_VIEWS = 3
+# Of the nine cells around one, itself included, that disagree with it; fewer are specks.
+_LEAST_NEIGHBOURS = 4
+
+
+def reference(
+    cells: NDArray[np.uint8], weights: NDArray[np.float32]
+) -> tuple[NDArray[np.uint8], NDArray[np.intp]]:
+    """Return what most of the weight shows of every cell, and which view shows it.
+
+    The weighted medoid under a truncated distance: the view that is nearest to all others, those
+    counted by their weights. Unlike a mean or median it is one that was really seen, and follows
+    the largest cluster (a truncated estimator; Huber & Ronchetti, Robust Statistics, 2009, ch. 4).
+
+    Parameters
+    ----------
+    cells : (N, h, w, 3) uint8
+    weights : (N, h, w) float32
+        0 where a view does not see a cell.
+    """
+    count = len(cells)
+    cost = np.zeros(weights.shape, np.float32)
+    greatest = np.float32(_GREATEST_DIFFERENCE_GRAY)
+    for first in range(count):
+        for second in range(first + 1, count):
+            channels = cv2.absdiff(cells[first], cells[second])
+            distance = np.minimum(np.asarray(channels).max(axis=-1).astype(np.float32), greatest)
+            cost[first] += distance * weights[second]
+            cost[second] += distance * weights[first]
+        # A view that does not see the cell must not win; one on its own still does.
+    cost[weights <= 0] = np.inf
+    chosen = np.argmin(cost, axis=0)
+    picked = np.take_along_axis(cells, chosen[None, ..., None], axis=0)[0]
+    return picked, chosen
+
+
+def agreeing(cells: NDArray[np.uint8], weights: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return (N, h, w): whether a view shows, in a cell that it sees, what the reference does.
+
+    A value between the lowest and the highest of the reference around a cell agrees: so much do
+    poses and blur displace an edge. Where fewer than three views see a cell, all of them agree;
+    where none agrees, the nearest one does.
+
+    Parameters
+    ----------
+    cells : (N, h, w, 3) uint8
+    weights : (N, h, w) float32
+        0 where a view does not see a cell.
+    """
+    seen = weights > 0
+    count = seen.sum(axis=0)
+    if len(cells) < _LEAST_VIEWS or int(count.max(initial=0)) < _LEAST_VIEWS:
+        return seen
+    shown, _ = reference(cells, weights)
+    around = np.ones((3, 3), np.uint8)
+    nothing = (count == 0)[..., None]
+    low = np.asarray(cv2.erode(np.where(nothing, np.uint8(255), shown), around), np.int16)
+    high = np.asarray(cv2.dilate(np.where(nothing, np.uint8(0), shown), around), np.int16)
+    slack = np.int16(_TOLERANCE_GRAY) + (_TOLERANCE_SHARE * high).astype(np.int16)
+    values = cells.astype(np.int16)
+    beyond = np.maximum(low - values, values - high).max(axis=-1) - slack.max(axis=-1)
+    differs = (beyond > 0) & seen & (count >= _LEAST_VIEWS)
+    for number in np.flatnonzero(differs.any(axis=(1, 2))):
+        differs[number] = _grown(differs[number])
+    agrees: NDArray[np.bool_] = seen & ~differs
+    orphaned = (count > 0) & ~agrees.any(axis=0)
+    if orphaned.any():
+        nearest = np.argmin(np.where(seen, beyond, np.int16(1000)), axis=0)
+        rows, columns = np.nonzero(orphaned)
+        agrees[nearest[rows, columns], rows, columns] = True
+    return agrees
+
+
+def _grown(differs: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Drop specks, and take in the cells around: a thing's outline is mixed with floor."""
+    pixels = differs.astype(np.uint8)
+    neighbours = np.asarray(
+        cv2.boxFilter(pixels, cv2.CV_16S, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    )
+    solid = (differs & (neighbours >= _LEAST_NEIGHBOURS)).astype(np.uint8)
+    grown: NDArray[np.bool_] = np.asarray(cv2.dilate(solid, np.ones((3, 3), np.uint8))) > 0
+    return grown
