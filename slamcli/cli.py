@@ -67,6 +67,9 @@ def main() -> None:
     default="",
     help="Also write, separated by commas: tum, kitti (trajectories), g2o (the pose graph).",
 )
+@click.option(
+    "--resume", is_flag=True, help="Go on with a run of the same frames and options, cut off."
+)
 @options.mapper_options
 @options.feature_details
 @options.match_details
@@ -96,6 +99,7 @@ def stitch(
         frame_rate=told["frame_rate"],
         debug=told["debug"],
         export=told["export"],
+        resume=told["resume"],
         workers=workers or default_workers(),
     )
     folder = output or default_output(frames[0], "mosaic")
@@ -111,6 +115,45 @@ def stitch(
         )
     click.echo("\n".join(report.lines))
     sys.exit(report.exit_code)
+
+
+@main.command()
+@click.argument("run", type=options.PATH)
+@options.output("the map (default: RUN's name with _render)")
+@options.product_options
+@click.option(
+    "--frames", "frames", type=options.PATH, help="Where the frames are now, if they were moved."
+)
+@options.workers
+@options.overwrite
+def render(
+    run: Path,
+    output: Path | None,
+    frames: Path | None,
+    workers: int | None,
+    overwrite: bool,
+    **told: Any,
+) -> None:
+    """Paint the map of RUN again, otherwise.
+
+    RUN is the output of slam stitch; no frame is located anew.
+    """
+    from slamcli.progress import ProgressBar
+    from slamcli.run.executor import default_workers
+    from slamcli.run.render import render as run_render
+
+    with ProgressBar() as progress:
+        lines = run_render(
+            run,
+            frames,
+            output or default_output(run, "render"),
+            options.products_of(told),
+            workers=workers or default_workers(),
+            overwrite=overwrite,
+            progress=progress,
+            tell=progress.tell,
+        )
+    click.echo("\n".join(lines))
 
 
 @main.command()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import shutil
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -134,10 +133,6 @@ class TileStore:
                 tile = self._read(row, column)
                 assert tile is not None
                 yield down, right, tile
-
-    def remove(self) -> None:
-        """Delete all tiles; the store is of no use afterwards."""
-        shutil.rmtree(self.folder, ignore_errors=True)
 
     def seen_pixels(self) -> int:
         """Return how many pixels of the map were seen."""

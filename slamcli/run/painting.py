@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from slamcli.core.records import Calibration, PoseEstimate, Tile
     from slamcli.io.frames import FrameFile
     from slamcli.run.executor import Progress
+    from slamcli.run.interruption import Interruption
     from slamcli.stages.mosaic.exposure import Exposure, Shared
     from slamcli.stages.mosaic.sampling import Picture
     from slamcli.stages.mosaic.tiles import TileKey
@@ -104,6 +105,7 @@ def paint_scene(
     workers: int,
     progress: Progress,
     tell: Callable[[str], None],
+    interruption: Interruption,
 ) -> tuple[TileStore, float]:
     """Paint a scene's tiles into a folder; those that it already holds are not painted again.
 
@@ -132,10 +134,12 @@ def paint_scene(
     work = partial(_paint, painter, scene, pictures)
     left = [(key, numbers) for key, numbers in plan if (key.row, key.column) not in store]
     done = len(plan) - len(left)
-    for (key, _), tile in zip(left, ordered(work, left, workers), strict=True):
+    for (key, _), tile in zip(left, ordered(work, left, workers), strict=False):
         store.put(key.row, key.column, tile)
         done += 1
         progress("painting", done, len(plan))
+        if interruption.heeded():
+            break
     return store, scale
 
 

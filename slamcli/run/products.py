@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from slamcli.core.records import PoseEstimate, Unit
     from slamcli.io.tilestore import StoredTile, TileStore
     from slamcli.run.executor import Progress
+    from slamcli.run.interruption import Interruption
     from slamcli.run.painting import Scene
 
 PRODUCTS = (
@@ -55,21 +56,24 @@ def write_maps(
     scenes: Sequence[tuple[Scene, Sequence[PoseEstimate]]],
     options: ProductOptions,
     staging: Path,
+    tiles_folder: Path,
     workers: int,
     progress: Progress,
     tell: Callable[[str], None],
+    interruption: Interruption,
 ) -> float:
     """Paint every connected map and write it as asked; return the floor seen in all, m^2.
 
-    The first is ``mosaic``, the next ``mosaic_1`` and so on.
+    The first is ``mosaic``, the next ``mosaic_1`` and so on. When the user interrupts, what has
+    been painted is written.
     """
     for scene, _ in scenes:
         check_scene(scene, options)
     area = 0.0
     for number, (scene, estimates) in enumerate(scenes):
         suffix = f"_{number}" if number else ""
-        folder = staging / f"tiles{suffix}"
-        store, scale = paint_scene(scene, options, folder, workers, progress, tell)
+        folder = tiles_folder / str(number)
+        store, scale = paint_scene(scene, options, folder, workers, progress, tell, interruption)
         unit = scene.calibration.unit
         grid = write_products(staging, suffix, store, scale, unit, scene.map_from_painted, options)
         if grid is not None:
@@ -77,7 +81,6 @@ def write_maps(
             image, mask, small = overview(store, grid)
             drawing = draw_trajectory(image, mask, small, estimates, unit)
             write_image(staging / f"trajectory{suffix}.png", drawing)
-        store.remove()
     return area
 
 

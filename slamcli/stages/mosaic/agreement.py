@@ -57,11 +57,13 @@ def reference(
 
 
 def agreeing(cells: NDArray[np.uint8], weights: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return (N, h, w): whether a view shows, in a cell that it sees, what the reference does.
+    """Return (N, h, w): whether a view shows, in a cell that it sees, the floor.
 
-    A value between the lowest and the highest of the reference around a cell agrees: so much do
-    poses and blur displace an edge. Where fewer than three views see a cell, all of them agree;
-    where none agrees, the nearest one does.
+    A value between the lowest and the highest of the reference around a cell agrees with it: so
+    much do poses and blur displace an edge. Where two thirds of three views or more agree, that is
+    decided; elsewhere a view is believed as it is where its own picture goes on: a leg that is
+    found out near the robot is one as far as it reaches. What stays undecided goes to the sharper
+    view. Where no view is left, the nearest to the reference is.
 
     Parameters
     ----------
@@ -73,17 +75,21 @@ def agreeing(cells: NDArray[np.uint8], weights: NDArray[np.float32]) -> NDArray[
     count = seen.sum(axis=0)
     if len(cells) < _LEAST_VIEWS or int(count.max(initial=0)) < _LEAST_VIEWS:
         return seen
-    shown, _ = reference(cells, weights)
-    around = np.ones((3, 3), np.uint8)
-    nothing = (count == 0)[..., None]
-    low = np.asarray(cv2.erode(np.where(nothing, np.uint8(255), shown), around), np.int16)
-    high = np.asarray(cv2.dilate(np.where(nothing, np.uint8(0), shown), around), np.int16)
-    slack = np.int16(_TOLERANCE_GRAY) + (_TOLERANCE_SHARE * high).astype(np.int16)
-    values = cells.astype(np.int16)
-    beyond = np.maximum(low - values, values - high).max(axis=-1) - slack.max(axis=-1)
-    differs = (beyond > 0) & seen & (count >= _LEAST_VIEWS)
+    beyond = _beyond(cells, weights, count)
+    differs = seen & (beyond > 0)
     for number in np.flatnonzero(differs.any(axis=(1, 2))):
-        differs[number] = _grown(differs[number])
+        differs[number] = _grown(differs[number]) & seen[number]
+    wrong = differs.sum(axis=0)
+    if not wrong.any():
+        return seen
+    contested = wrong > 0
+    decided = (count >= _LEAST_VIEWS) & (3 * wrong <= count)
+    open_cells = contested & ~decided
+    for view, sees in zip(differs, seen, strict=True):
+        undecided = open_cells & sees
+        if undecided.any():
+            for_floor = contested & decided & sees & ~view
+            _settle(view, undecided, for_floor, decided & view)
     agrees: NDArray[np.bool_] = seen & ~differs
     orphaned = (count > 0) & ~agrees.any(axis=0)
     if orphaned.any():
@@ -91,6 +97,41 @@ def agreeing(cells: NDArray[np.uint8], weights: NDArray[np.float32]) -> NDArray[
         rows, columns = np.nonzero(orphaned)
         agrees[nearest[rows, columns], rows, columns] = True
     return agrees
+
+
+def _beyond(
+    cells: NDArray[np.uint8], weights: NDArray[np.float32], count: NDArray[np.intp]
+) -> NDArray[np.int16]:
+    """Return (N, h, w): by how many gray levels each view leaves what the reference allows."""
+    shown, _ = reference(cells, weights)
+    around = np.ones((3, 3), np.uint8)
+    nothing = (count == 0)[..., None]
+    low = np.asarray(cv2.erode(np.where(nothing, np.uint8(255), shown), around), np.int16)
+    high = np.asarray(cv2.dilate(np.where(nothing, np.uint8(0), shown), around), np.int16)
+    slack = np.int16(_TOLERANCE_GRAY) + (_TOLERANCE_SHARE * high.max(axis=-1)).astype(np.int16)
+    values = cells.astype(np.int16)
+    return np.asarray(np.maximum(low - values, values - high).max(axis=-1) - slack, np.int16)
+
+
+def _settle(
+    differs: NDArray[np.bool_],
+    undecided: NDArray[np.bool_],
+    for_floor: NDArray[np.bool_],
+    against: NDArray[np.bool_],
+) -> None:
+    """Decide, in the caller's own array, each connected undecided part of one view.
+
+    By whether it borders more on cells where the view was found to show the floor, or not.
+    """
+    number, labels = cv2.connectedComponents(undecided.astype(np.uint8), connectivity=4)
+    around = np.ones((3, 3), np.uint8)
+    votes = np.zeros(number)
+    for cells, vote in ((for_floor, -1.0), (against, 1.0)):
+        touched = np.asarray(cv2.dilate(cells.astype(np.uint8), around)) > 0
+        votes += vote * np.bincount(np.asarray(labels)[touched & undecided], minlength=number)
+    verdict = votes[labels]
+    differs[undecided & (verdict > 0)] = True
+    differs[undecided & (verdict < 0)] = False
 
 
 def _grown(differs: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -113,7 +113,7 @@ def blend_best(views: Views) -> Blended:
         colour = read.image.astype(np.float32) + _enlarged(slow[number], window)
         total[part] += alpha[..., None] * colour
         share[part] += alpha
-        np.maximum(sharpness[part], np.where(alpha > 0, read.weight, 0), out=sharpness[part])
+        np.maximum(sharpness[part], read.sharpness, out=sharpness[part], where=alpha > 0)
     return Blended(_divided(total, share), np.where(share > 0, sharpness, np.float32(0.0)))
 
 
@@ -129,11 +129,11 @@ def blend_feather(views: Views) -> Blended:
 
 def blend_median(views: Views) -> Blended:
     """Return the median of all views, a channel at a time."""
-    images, weights = _read_all(views)
+    images, sharpness = _read_all(views)
     image = np.zeros(images.shape[1:], np.uint8)
     for row in range(0, TILE_PIXELS, _MEDIAN_ROWS):
         rows = slice(row, row + _MEDIAN_ROWS)
-        seen = weights[:, rows] > 0
+        seen = sharpness[:, rows] > 0
         count = seen.sum(axis=0)
         # What is not seen sorts to the end.
         values = np.sort(np.where(seen[..., None], images[:, rows], np.int16(256)), axis=0)
@@ -145,7 +145,7 @@ def blend_median(views: Views) -> Blended:
         )
         both = (low.astype(np.int32) + high + 1) // 2
         image[rows] = np.where(count[..., None] > 0, np.minimum(both, 255), 0)
-    return Blended(image, weights.max(axis=0))
+    return Blended(image, sharpness.max(axis=0))
 
 
 def blend_multiband(views: Views) -> Blended:
@@ -179,7 +179,7 @@ def blend_multiband(views: Views) -> Blended:
     image = _collapsed([band / one[..., None] for band, one in zip(bands, sums, strict=True)])
     weight = np.zeros_like(total)
     for share, read in zip(shares, reads, strict=True):
-        np.maximum(weight, np.where(share > 0, read.weight, 0), out=weight)
+        np.maximum(weight, read.sharpness, out=weight, where=share > 0)
     inner = slice(margin * CELL_PIXELS, side - margin * CELL_PIXELS)
     rounded = np.clip(np.rint(np.where(total[..., None] > 0, image, 0.0)), 0, 255)
     return Blended(rounded[inner, inner].astype(np.uint8), weight[inner, inner])
@@ -247,18 +247,19 @@ def _mean(views: Views, measure: Callable[[NDArray[np.float32]], NDArray[np.floa
         total[_pixels(part)] += weight[..., None] * read.image
         share[_pixels(part)] += weight
         here = sharpness[_pixels(part)]
-        np.maximum(here, np.where(weight > 0, read.weight, 0), out=here)
+        np.maximum(here, read.sharpness, out=here, where=weight > 0)
     return Blended(_divided(total, share), sharpness)
 
 
 def _read_all(views: Views) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
     found = list(_reads(views))
     images = np.zeros((max(1, len(found)), TILE_PIXELS, TILE_PIXELS, 3), np.int16)
-    weights = np.zeros(images.shape[:3], np.float32)
+    sharpness = np.zeros(images.shape[:3], np.float32)
     for place, (number, part, read) in enumerate(found):
         images[place][_pixels(part)] = read.image
-        weights[place][_pixels(part)] = _cleared(views, number, part, read)
-    return images, weights
+        seen = _cleared(views, number, part, read) > 0
+        sharpness[place][_pixels(part)] = np.where(seen, read.sharpness, np.float32(0.0))
+    return images, sharpness
 
 
 def _reads(views: Views) -> list[tuple[int, Window, Sample]]:

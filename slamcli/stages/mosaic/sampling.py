@@ -53,10 +53,13 @@ class Sample:
     weight : (h, w) float32
         Pixels of the picture to a metre of floor, fading to nothing towards the border of what is
         usable; 0 where the floor is not seen.
+    sharpness : (h, w) float32
+        The same without the fading; of use only where the weight is not 0.
     """
 
     image: NDArray[np.uint8]
     weight: NDArray[np.float32]
+    sharpness: NDArray[np.float32]
 
 
 def border_fade(sharpness: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -132,7 +135,7 @@ def sample(
     image = np.zeros((grid.height, grid.width, 3), np.uint8)
     seen = look.weight > 0
     if not seen.any():
-        return Sample(image, look.weight)
+        return Sample(image, look.weight, look.sharpness)
     coarser = look.sharpness * np.float32(grid.metres_per_pixel * (1 + 1e-6))
     deepest = len(picture.levels) - 1
     first, last = (
@@ -145,7 +148,7 @@ def sample(
             image = read
         else:
             np.copyto(image, read, where=(coarser >= 2.0**number)[..., None])
-    return Sample(image, look.weight)
+    return Sample(image, look.weight, look.sharpness)
 
 
 def weigh(
