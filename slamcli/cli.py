@@ -68,6 +68,11 @@ def main() -> None:
     help="Also write, separated by commas: tum, kitti (trajectories), g2o (the pose graph).",
 )
 @click.option(
+    "--dry-run",
+    is_flag=True,
+    help="Only look for faults in the frames and tell what mapping them will take.",
+)
+@click.option(
     "--resume", is_flag=True, help="Go on with a run of the same frames and options, cut off."
 )
 @options.mapper_options
@@ -102,6 +107,13 @@ def stitch(
         resume=told["resume"],
         workers=workers or default_workers(),
     )
+    if told["dry_run"]:
+        from slamcli.run.forecast import forecast
+
+        with ProgressBar() as progress:
+            lines = forecast(frames, calibration, resolved, progress)
+        click.echo("\n".join(lines))
+        return
     folder = output or default_output(frames[0], "mosaic")
     with ProgressBar() as progress:
         report = run_stitch(

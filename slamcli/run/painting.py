@@ -163,8 +163,8 @@ def estimate(
     seconds = (time.perf_counter() - started) * len(plan) / workers
     return (
         f"up to {grid.width}x{grid.height} pixels of {painter.metres_per_pixel:g} "
-        f"{painter.calibration.unit}, {len(plan)} tiles; about {_size(disk)} of disk, "
-        f"{_size(memory)} of memory, {seconds:.0f} s to paint"
+        f"{painter.calibration.unit}, {len(plan)} tiles; about {size_text(disk)} of disk, "
+        f"{size_text(memory)} of memory, {seconds:.0f} s to paint"
     )
 
 
@@ -240,8 +240,8 @@ def _most_pictures(painter: Painter, memory_bytes: int, workers: int) -> int:
     if room < least * painter.picture_bytes:
         needed = workers * _TILE_BYTES + least * painter.picture_bytes
         raise InputError(
-            f"--memory {_size(memory_bytes)} is too little to paint in; give {_size(needed)} or "
-            "more, or fewer --workers"
+            f"--memory {size_text(memory_bytes)} is too little to paint in; "
+            f"give {size_text(needed)} or more, or fewer --workers"
         )
     return room // painter.picture_bytes
 
@@ -261,7 +261,8 @@ def _paint(
     return painter.paint(key, scene.shots, numbers, pictures)
 
 
-def _size(count: float) -> str:
+def size_text(count: float) -> str:
+    """Return a number of bytes for the eye."""
     for unit in ("B", "kB", "MB"):
         if count < 1000:
             return f"{count:.3g} {unit}"

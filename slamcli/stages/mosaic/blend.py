@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 # Brightness differs slowly: it is smoothed over twice so many cells and blended over as many.
 _SLOW_CELLS = 5
 _MOST_CORRECTION_GRAY = 40.0
+# Cells that differ by less than this from those around are plain floor.
+_PLAIN_GRAY = 16.0
 # Around a view's own cells so many more are read, for where it turns out not to see all of them.
 _SPARE_CELLS = 2
 _SPARE_SHARE = np.float32(1e-3)
@@ -195,31 +197,31 @@ BLENDS: dict[str, Callable[[Views], Blended]] = {
 
 
 def _slow_corrections(views: Views, label: NDArray[np.intp]) -> dict[int, NDArray[np.float32]]:
-    """Return for each view that wins somewhere (h, w, 3): what blends its slow changes in."""
+    """Return for each view that wins somewhere (h, w, 3): what blends its slow changes in.
+
+    Slow is what a view differs by from the picture of all winners, smoothed where that is plain:
+    beside an edge a difference tells of poses and blur, not of brightness.
+    """
     numbers = [int(number) for number in np.unique(label[label >= 0])]
-    slow, masks, reach = {}, {}, {}
-    shape = label.shape
-    total = np.zeros((*shape, 3), np.float32)
-    share = np.zeros(shape, np.float32)
+    shown = np.take_along_axis(views.cells, np.maximum(label, 0)[None, ..., None], axis=0)[0]
+    around = np.ones((3, 3), np.uint8)
+    span = np.asarray(cv2.morphologyEx(shown, cv2.MORPH_GRADIENT, around), np.float32).max(axis=-1)
+    plain = np.where(label >= 0, 1.0 / (1.0 + (span / _PLAIN_GRAY) ** 2), 0.0).astype(np.float32)
+    slow, reach = {}, {}
+    total = np.zeros(shown.shape, np.float32)
+    share = np.full(label.shape, 1e-6, np.float32)
     for number in numbers:
         seen = (views.weights[number] > 0).astype(np.float32)
-        area = _smooth(seen)
-        colour = _smooth(views.cells[number].astype(np.float32) * seen[..., None])
-        slow[number] = colour / np.maximum(area, np.float32(1e-6))[..., None]
-        masks[number] = area > 1e-3
+        difference = views.cells[number].astype(np.float32) - shown
+        area = _smooth(seen * plain)
+        slow[number] = _smooth(difference * (seen * plain)[..., None])
+        slow[number] /= np.maximum(area, np.float32(1e-3))[..., None]
         reach[number] = _smooth((label == number).astype(np.float32)) * seen
         total += reach[number][..., None] * slow[number]
         share += reach[number]
-    target = total / np.maximum(share, np.float32(1e-6))[..., None]
+    target = total / share[..., None]
     most = np.float32(_MOST_CORRECTION_GRAY)
-    return {
-        number: np.where(
-            (masks[number] & (share > 1e-6))[..., None],
-            np.clip(target - slow[number], -most, most),
-            np.float32(0.0),
-        )
-        for number in numbers
-    }
+    return {number: np.clip(target - slow[number], -most, most) for number in numbers}
 
 
 def _smooth(values: NDArray[np.float32]) -> NDArray[np.float32]:
