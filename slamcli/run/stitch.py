@@ -146,6 +146,7 @@ def _begin(
     inputs: Inputs, options: StitchOptions, checkpoint: Checkpoint, tell: Callable[[str], None]
 ) -> Mapper:
     """Return a new mapper, or that of a run that was cut off."""
+    total = len(inputs.files)
     paths = [file.path for file in inputs.files]
     if inputs.calibration_path is not None:
         paths.append(inputs.calibration_path)
@@ -153,7 +154,7 @@ def _begin(
     if checkpoint.open(run_key(f"{__version__} {plain!r}", paths), resume=options.resume):
         mapper = checkpoint.load()
         if isinstance(mapper, Mapper):
-            tell(f"resumed: {len(mapper.estimates)} of {len(paths)} frames had been located")
+            tell(f"resumed: {len(mapper.estimates)} of {total} frames had been located")
             return mapper
     elif options.resume:
         tell("nothing to resume: no run of these frames and options was cut off; starting anew")
