@@ -61,7 +61,7 @@ class Painter:
         self.metres_per_pixel = metres_per_pixel
         self.options = options or PaintOptions()
         self.hull = camera.footprint_hull(calibration)
-        self._usable = sampling.border_fade(camera.sharpness_image(calibration))
+        self._usable = sampling.border_fade(camera.sharpness_image(calibration, 1.0))
         coarsest = metres_per_pixel * tiles.CELL_PIXELS
         self._depth = sampling.pyramid_depth(calibration, coarsest)
         self._light = light

@@ -31,6 +31,7 @@ _SIGMA = 0.03
 # Without anything that speaks for another, every gain is 1 and the lens is even.
 _GAIN_SIGMA, _VIGNETTING_SIGMA = 1.0, 0.5
 _DARKEST_GRAY, _BRIGHTEST_GRAY = 8.0, 245.0
+_NEARLY_WHITE_GRAY = 235.0
 _BLUR_SHARE = 1 / 80
 # Less than this is not seen, and not worth touching every pixel for.
 _NOTHING = 0.004
@@ -191,13 +192,17 @@ def correct(
     brightening : (H, W) float32 or None
         From `brightening_image`; None when the lens is even.
     """
+    if gain != 1.0:
+        levels = np.arange(256.0)
+        # What is saturated was at least so bright: it stays white where the rest is darkened.
+        share = np.clip((levels - _NEARLY_WHITE_GRAY) / (255.0 - _NEARLY_WHITE_GRAY), 0.0, 1.0)
+        kept = share if gain < 1.0 else np.zeros_like(share)
+        table = np.clip(np.rint(levels * (gain + kept * (1.0 - gain))), 0, 255).astype(np.uint8)
+        image = np.asarray(cv2.LUT(image, table), np.uint8)
     if brightening is None:
-        if gain == 1.0:
-            return image
-        table = np.clip(np.rint(gain * np.arange(256.0)), 0, 255).astype(np.uint8)
-        return np.asarray(cv2.LUT(image, table), np.uint8)
+        return image
     factor = brightening if image.ndim == 2 else np.dstack([brightening] * 3)
-    return np.asarray(cv2.multiply(image, factor, scale=gain, dtype=cv2.CV_8U), np.uint8)
+    return np.asarray(cv2.multiply(image, factor, dtype=cv2.CV_8U), np.uint8)
 
 
 def brightening_image(

@@ -25,6 +25,7 @@ _DEEPEST_LEVEL = 6
 _LATTICE_PIXELS = 8
 _LARGE_PIXELS = 128
 _OUT_OF_SIGHT = -1.0e4
+_LEAST_DEPTH = 1.0e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +69,7 @@ def border_fade(sharpness: NDArray[np.float32]) -> NDArray[np.uint8]:
     Parameters
     ----------
     sharpness : (H, W) float32
-        From `camera.sharpness_image`: 0 where no floor is seen.
+        From `camera.sharpness_image`, without a margin: 0 where no floor is seen.
     """
     usable = np.pad(np.where(sharpness > 0, np.uint8(255), np.uint8(0)), 1)
     distance = np.asarray(cv2.distanceTransform(usable, cv2.DIST_L2, 3))[1:-1, 1:-1]
@@ -133,21 +134,26 @@ def sample(
     """
     look = _look(picture, calibration, map_from_robot, grid)
     image = np.zeros((grid.height, grid.width, 3), np.uint8)
-    seen = look.weight > 0
-    if not seen.any():
+    seen = (look.weight > 0).astype(np.uint8)
+    coarsest, finest, _, _ = cv2.minMaxLoc(look.sharpness, seen)
+    if finest <= 0:
         return Sample(image, look.weight, look.sharpness)
-    coarser = look.sharpness * np.float32(grid.metres_per_pixel * (1 + 1e-6))
+    scale = grid.metres_per_pixel * (1 + 1e-6)
     deepest = len(picture.levels) - 1
     first, last = (
-        min(deepest, max(0, math.floor(math.log2(float(value)))))
-        for value in (coarser[seen].min(), coarser[seen].max())
+        min(deepest, max(0, math.floor(math.log2(value * scale)))) for value in (coarsest, finest)
     )
     for number in range(first, last + 1):
-        read = _read(picture.levels[number], number, look, grid, smooth=smooth)
-        if number == first:
-            image = read
-        else:
-            np.copyto(image, read, where=(coarser >= 2.0**number)[..., None])
+        low = 2.0**number / scale if number > first else 0.0
+        high = 2.0 ** (number + 1) / scale if number < last else math.inf
+        band = np.asarray(cv2.inRange(look.sharpness, low, high), np.uint8)
+        band = np.asarray(cv2.bitwise_and(band, band, mask=seen), np.uint8)
+        left, top, width, height = cv2.boundingRect(band)
+        if width == 0:
+            continue
+        rows, columns = slice(top, top + height), slice(left, left + width)
+        read = _read(picture.levels[number], number, look, rows, columns, smooth=smooth)
+        cv2.copyTo(read, band[rows, columns], image[rows, columns])
     return Sample(image, look.weight, look.sharpness)
 
 
@@ -193,15 +199,14 @@ def _look(picture: Picture, calibration: Calibration, map_from_robot: Pose2, gri
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         )
     sharpness = _sharpness(calibration, robot_from_pixel, grid)
-    weight = np.asarray(usable, np.float32) * sharpness * np.float32(1.0 / 255.0)
-    weight[_out_of_range(calibration, robot_from_pixel, grid)] = 0.0
+    weight = cv2.multiply(usable, sharpness, scale=1.0 / 255.0, dtype=cv2.CV_32F)
     return _Look(homography, lens, sharpness, np.asarray(weight, np.float32))
 
 
 def _sharpness(
     calibration: Calibration, robot_from_pixel: NDArray[np.float64], grid: Grid
 ) -> NDArray[np.float32]:
-    """Return (h, w) pixels a metre, 0 behind the camera.
+    """Return (h, w) pixels a metre; of no use behind the camera, which no picture shows.
 
     A plane homography H enlarges areas by det H / w^3, and w is linear over the floor.
     """
@@ -209,46 +214,32 @@ def _sharpness(
     row = from_robot[2] @ robot_from_pixel / abs(float(np.linalg.det(from_robot))) ** (1.0 / 3.0)
     column = (row[0] * np.arange(grid.width)).astype(np.float32)
     line = (row[1] * np.arange(grid.height) + row[2]).astype(np.float32)
-    depth = np.maximum(column[None, :] + line[:, None], np.float32(0.0))
-    with np.errstate(divide="ignore"):
-        sharpness = np.float32(1.0) / (depth * np.sqrt(depth))
-    sharpness[depth <= 0] = 0.0
-    return np.asarray(sharpness, np.float32)
-
-
-def _out_of_range(
-    calibration: Calibration, robot_from_pixel: NDArray[np.float64], grid: Grid
-) -> NDArray[np.bool_]:
-    """Return (h, w): whether a pixel lies beyond the range.
-
-    The squared distance of R p + t is |p|^2 s^2 + 2 t . R p + |t|^2: a sum of row and column.
-    """
-    offset = robot_from_pixel[:2, 2]
-    column, row = np.arange(grid.width), np.arange(grid.height)
-    scale = grid.metres_per_pixel**2
-    along = scale * column**2 + 2 * float(offset @ robot_from_pixel[:2, 0]) * column
-    down = scale * row**2 + 2 * float(offset @ robot_from_pixel[:2, 1]) * row
-    limit = calibration.max_range_metres**2 - float(offset @ offset)
-    beyond: NDArray[np.bool_] = (
-        along.astype(np.float32)[None, :] > (limit - down).astype(np.float32)[:, None]
-    )
-    return beyond
+    depth = column[None, :] + line[:, None]
+    np.maximum(depth, np.float32(_LEAST_DEPTH), out=depth)
+    return np.asarray(cv2.pow(depth, -1.5), np.float32)
 
 
 def _read(
-    level: NDArray[np.uint8], number: int, look: _Look, grid: Grid, *, smooth: bool
+    level: NDArray[np.uint8],
+    number: int,
+    look: _Look,
+    rows: slice,
+    columns: slice,
+    *,
+    smooth: bool,
 ) -> NDArray[np.uint8]:
-    """Read a raster from one pyramid level, where pixel k is pixel 2^number k of the picture."""
+    """Read part of a raster from one pyramid level, whose pixel k is 2^number k of the picture."""
     method = cv2.INTER_CUBIC if smooth else cv2.INTER_LINEAR
     scale = 0.5**number
     if look.lens is not None:
-        columns, rows = (np.float32(scale) * one for one in look.lens)
-        read = cv2.remap(level, columns, rows, method, borderMode=cv2.BORDER_REPLICATE)
+        across, down = (np.float32(scale) * one[rows, columns] for one in look.lens)
+        read = cv2.remap(level, across, down, method, borderMode=cv2.BORDER_REPLICATE)
     else:
+        shift = np.array([[1.0, 0.0, columns.start], [0.0, 1.0, rows.start], [0.0, 0.0, 1.0]])
         read = cv2.warpPerspective(
             level,
-            np.diag([scale, scale, 1.0]) @ look.image_from_pixel,
-            (grid.width, grid.height),
+            np.diag([scale, scale, 1.0]) @ look.image_from_pixel @ shift,
+            (columns.stop - columns.start, rows.stop - rows.start),
             flags=method | cv2.WARP_INVERSE_MAP,
             borderMode=cv2.BORDER_REPLICATE,
         )
