@@ -160,7 +160,7 @@ class Painter:
     ) -> Sample:
         """Return what one frame shows of all that it sees, in the map, one resample away from it.
 
-        The grid is that of `outline`.
+        The grid is that of `extent`.
         """
         picture = sampling.make_picture(frame.image, self._usable, frame.mask, self._depth)
         grid = self.extent([map_from_robot])

@@ -130,9 +130,16 @@ def paint_scene(
         raise InputError("no frame sees anything of that crop; poses.csv tells where they are")
     most = _most_pictures(painter, options.memory_bytes, workers)
     pictures = Pictures(partial(_picture, painter, scene), most)
-    tell(estimate(painter, scene, plan, options, min(most, len(scene.shots)), workers))
     work = partial(_paint, painter, scene, pictures)
     left = [(key, numbers) for key, numbers in plan if (key.row, key.column) not in store]
+    if left:
+        started = time.perf_counter()
+        first = left.pop(len(left) // 2)
+        for tile in ordered(work, [first], 1):
+            store.put(first[0].row, first[0].column, tile)
+        seconds = (time.perf_counter() - started) * len(left) / workers
+        held = min(most, len(scene.shots))
+        tell(estimate(painter, plan, options, held, seconds, workers))
     done = len(plan) - len(left)
     for (key, _), tile in zip(left, ordered(work, left, workers), strict=False):
         store.put(key.row, key.column, tile)
@@ -145,22 +152,26 @@ def paint_scene(
 
 def estimate(
     painter: Painter,
-    scene: Scene,
     plan: Sequence[tuple[TileKey, list[int]]],
     options: ProductOptions,
     pictures: int,
+    seconds: float,
     workers: int,
 ) -> str:
-    """Return a line on how large the map will be, and what painting it takes."""
+    """Return a line on how large the map will be, and what painting it takes.
+
+    Parameters
+    ----------
+    pictures : int
+        Frames held in memory.
+    seconds : float
+        To paint, as the first tile foretells.
+    """
     grid = tiles.extent_of([key for key, _ in plan], painter.metres_per_pixel)
     assert grid is not None
     layers = sum(_LAYER_BYTES[layer] for layer in options.layers) * tiles.TILE_PIXELS**2
     disk = len(plan) * (_STORED_TILE_BYTES + layers)
     memory = pictures * painter.picture_bytes + workers * _TILE_BYTES
-    started = time.perf_counter()
-    key, numbers = plan[len(plan) // 2]
-    _paint(painter, scene, Pictures(partial(_picture, painter, scene), pictures), (key, numbers))
-    seconds = (time.perf_counter() - started) * len(plan) / workers
     return (
         f"up to {grid.width}x{grid.height} pixels of {painter.metres_per_pixel:g} "
         f"{painter.calibration.unit}, {len(plan)} tiles; about {size_text(disk)} of disk, "

@@ -21,8 +21,6 @@ _TOLERANCE_SHARE = 0.08
 _GREATEST_DIFFERENCE_GRAY = 48
 # Two views that differ do not tell which one is right.
 _LEAST_VIEWS = 3
-# Of the nine cells around one, itself included, that disagree with it; fewer are specks.
-_LEAST_NEIGHBOURS = 4
 
 
 def reference(
@@ -135,11 +133,11 @@ def _settle(
 
 
 def _grown(differs: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Drop specks, and take in the cells around: a thing's outline is mixed with floor."""
-    pixels = differs.astype(np.uint8)
-    neighbours = np.asarray(
-        cv2.boxFilter(pixels, cv2.CV_16S, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    )
-    solid = (differs & (neighbours >= _LEAST_NEIGHBOURS)).astype(np.uint8)
-    grown: NDArray[np.bool_] = np.asarray(cv2.dilate(solid, np.ones((3, 3), np.uint8))) > 0
+    """Drop what is at most two cells wide, which are edges that poses displace; grow the rest.
+
+    A thing's outline is mixed with floor.
+    """
+    around = np.ones((3, 3), np.uint8)
+    solid = cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_OPEN, around)
+    grown: NDArray[np.bool_] = np.asarray(cv2.dilate(solid, around)) > 0
     return grown
