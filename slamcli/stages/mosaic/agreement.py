@@ -69,10 +69,33 @@ def agreeing(cells: NDArray[np.uint8], weights: NDArray[np.float32]) -> NDArray[
     weights : (N, h, w) float32
         0 where a view does not see a cell.
     """
+    agrees = weights > 0
+    part = _doubtful(cells, agrees)
+    if part is not None:
+        agrees[:, *part] = _agreeing(cells[:, *part], weights[:, *part])
+    return agrees
+
+
+def _doubtful(cells: NDArray[np.uint8], seen: NDArray[np.bool_]) -> tuple[slice, slice] | None:
+    """Return the window around all cells that three views or more show too differently."""
+    count = seen.sum(axis=0)
+    high = np.where(seen[..., None], cells, np.uint8(0)).max(axis=0)
+    low = np.where(seen[..., None], cells, np.uint8(255)).min(axis=0)
+    spread = (high.astype(np.int16) - low).max(axis=-1)
+    differ = (spread > _TOLERANCE_GRAY) & (count > 1)
+    if not (differ & (count >= _LEAST_VIEWS)).any():
+        return None
+    rows, columns = np.flatnonzero(differ.any(axis=1)), np.flatnonzero(differ.any(axis=0))
+    # The reference looks one cell around, and what differs is grown by one.
+    return (
+        slice(max(0, int(rows[0]) - 3), int(rows[-1]) + 4),
+        slice(max(0, int(columns[0]) - 3), int(columns[-1]) + 4),
+    )
+
+
+def _agreeing(cells: NDArray[np.uint8], weights: NDArray[np.float32]) -> NDArray[np.bool_]:
     seen = weights > 0
     count = seen.sum(axis=0)
-    if len(cells) < _LEAST_VIEWS or int(count.max(initial=0)) < _LEAST_VIEWS:
-        return seen
     beyond = _beyond(cells, weights, count)
     differs = seen & (beyond > 0)
     for number in np.flatnonzero(differs.any(axis=(1, 2))):
