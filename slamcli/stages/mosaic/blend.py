@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # Brightness differs slowly: it is smoothed over twice so many cells and blended over as many.
 _SLOW_CELLS = 5
-_MOST_CORRECTION_GRAY = 40.0
+_UNSEEN_GRAY, _MOST_CORRECTION_GRAY = 1.0, 40.0
 # Cells that differ by less than this from those around are plain floor.
 _PLAIN_GRAY = 16.0
 # Around a view's own cells so many more are read, for where it turns out not to see all of them.
@@ -220,8 +220,13 @@ def _slow_corrections(views: Views, label: NDArray[np.intp]) -> dict[int, NDArra
         total += reach[number][..., None] * slow[number]
         share += reach[number]
     target = total / share[..., None]
-    most = np.float32(_MOST_CORRECTION_GRAY)
-    return {number: np.clip(target - slow[number], -most, most) for number in numbers}
+    return {number: _worthwhile(target - slow[number]) for number in numbers}
+
+
+def _worthwhile(correction: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Shrink corrections by what no eye sees, and limit them."""
+    size = np.abs(correction) - np.float32(_UNSEEN_GRAY)
+    return np.copysign(np.clip(size, 0.0, _MOST_CORRECTION_GRAY), correction).astype(np.float32)
 
 
 def _smooth(values: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -35,6 +36,8 @@ _NEARLY_WHITE_GRAY = 235.0
 _BLUR_SHARE = 1 / 80
 # Less than this is not seen, and not worth touching every pixel for.
 _NOTHING = 0.004
+# So many standard deviations are no accident.
+_SIGNIFICANT = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,11 +178,21 @@ def solve(observations: Sequence[Shared]) -> Exposure:
             weight = trust * np.minimum(1.0, _HUBER / np.maximum(residual, 1e-12))
         else:
             weight = trust * np.maximum(1.0 - (residual / _TUKEY) ** 2, _LEAST_WEIGHT) ** 2
-    gains = np.exp(solution[:frames] - np.median(solution[:frames]))
-    gains[np.abs(gains - 1.0) < _NOTHING] = 1.0
+    # What is not clear of its own uncertainty, at best, is noise: pictures stay as they are.
+    corrected = logarithm + design @ solution
+    residual = (
+        corrected - (np.bincount(place, weight * corrected) / np.bincount(place, weight))[place]
+    )
+    spread = math.sqrt(float(np.mean(weight * residual**2)))
+    information = np.asarray(design.multiply(design).T @ weight) + prior
+    sigmas = _SIGNIFICANT * spread / np.sqrt(information)
+    logarithms = solution[:frames] - np.median(solution[:frames])
+    unsure = np.abs(logarithms) < np.maximum(sigmas[:frames], _NOTHING)
+    gains = np.where(unsure, 1.0, np.exp(logarithms))
     a, b = float(solution[frames]), float(solution[frames + 1])
     fall = max(abs(a * r + b * r * r) for r in (0.25, 0.5, 0.75, 1.0))
-    return Exposure(gains, (a, b) if fall >= _NOTHING else (0.0, 0.0))
+    even = fall < max(float(sigmas[frames]), _NOTHING)
+    return Exposure(gains, (0.0, 0.0) if even else (a, b))
 
 
 def correct(
