@@ -12,13 +12,13 @@ from typing import Any, TypeVar
 import click
 
 from slamcli.core.config import (
+    Datum,
     FeatureOptions,
     MapperOptions,
     MatchOptions,
     PaintOptions,
     ProductOptions,
 )
-from slamcli.core.records import Datum
 
 Options = TypeVar("Options")
 Command = TypeVar("Command", bound=Callable[..., Any])

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from slamcli.core.errors import InputError
-
-if TYPE_CHECKING:
-    from slamcli.core.records import Datum
 
 FeatureMethod = Literal["orb", "sift"]
 TransformModel = Literal["rigid", "similarity", "affine", "homography"]
@@ -239,6 +236,23 @@ class PaintOptions:
     blend: Blend = "best"
     gain: bool = True
     standing: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Datum:
+    """Where the map's origin lies on the earth.
+
+    Attributes
+    ----------
+    latitude_degrees, longitude_degrees : float
+        WGS84.
+    east_heading_radians : float
+        From the east, counter-clockwise, to the map's x axis.
+    """
+
+    latitude_degrees: float
+    longitude_degrees: float
+    east_heading_radians: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

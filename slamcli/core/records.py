@@ -382,23 +382,6 @@ class PoseEstimate:
     revised: tuple[int, ...] = field(default=())
 
 
-@dataclass(frozen=True, slots=True)
-class Datum:
-    """Where the map's origin lies on the earth.
-
-    Attributes
-    ----------
-    latitude_degrees, longitude_degrees : float
-        WGS84.
-    east_heading_radians : float
-        From the east, counter-clockwise, to the map's x axis.
-    """
-
-    latitude_degrees: float
-    longitude_degrees: float
-    east_heading_radians: float = 0.0
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
     """A frame that has its place, ready to be painted.

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from slamcli.core.records import Datum
+    from slamcli.core.config import Datum
 
 
 _CACHE_MEGABYTES = 128

@@ -226,7 +226,8 @@ def _slow_corrections(views: Views, label: NDArray[np.intp]) -> dict[int, NDArra
 def _worthwhile(correction: NDArray[np.floating]) -> NDArray[np.float32]:
     """Shrink corrections by what no eye sees, and limit them."""
     size = np.abs(correction) - np.float32(_UNSEEN_GRAY)
-    return np.copysign(np.clip(size, 0.0, _MOST_CORRECTION_GRAY), correction).astype(np.float32)
+    limited = np.clip(size, 0.0, _MOST_CORRECTION_GRAY)
+    return np.asarray(np.copysign(limited, correction), np.float32)
 
 
 def _smooth(values: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -191,8 +191,8 @@ def solve(observations: Sequence[Shared]) -> Exposure:
     gains = np.where(unsure, 1.0, np.exp(logarithms))
     a, b = float(solution[frames]), float(solution[frames + 1])
     fall = max(abs(a * r + b * r * r) for r in (0.25, 0.5, 0.75, 1.0))
-    even = fall < max(float(sigmas[frames]), _NOTHING)
-    return Exposure(gains, (0.0, 0.0) if even else (a, b))
+    nothing = fall < max(float(sigmas[frames]), _NOTHING)
+    return Exposure(gains, (0.0, 0.0) if nothing else (a, b))
 
 
 def correct(
