@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 _MOST_VIEWS = 20
 _FEW_VIEWS = 24
 _PROBES = 9
+# By this share of the range, views of one spot may lie apart: poses, tilt, bowed floors.
+_DISPLACED_SHARE, _MOST_REACH_CELLS = 0.015, 4
 
 
 class Painter:
@@ -61,9 +63,11 @@ class Painter:
         self.metres_per_pixel = metres_per_pixel
         self.options = options or PaintOptions()
         self.hull = camera.footprint_hull(calibration)
-        self._usable = sampling.border_fade(camera.sharpness_image(calibration, 1.0))
+        self._usable = sampling.border_fade(camera.sharpness_image(calibration))
         coarsest = metres_per_pixel * tiles.CELL_PIXELS
         self._depth = sampling.pyramid_depth(calibration, coarsest)
+        displaced = _DISPLACED_SHARE * calibration.max_range_metres / coarsest
+        self._reach = min(_MOST_REACH_CELLS, max(1, round(displaced)))
         self._light = light
         self._brightening = exposure.brightening_image(
             calibration.image_size, light.vignetting if light else (0.0, 0.0)
@@ -131,7 +135,7 @@ class Painter:
         weights = np.stack([look.weight for look in looks])
         shows_floor = weights > 0
         if self.options.standing:
-            shows_floor = agreement.agreeing(cells, weights)
+            shows_floor = agreement.agreeing(cells, weights, self._reach)
 
         def read(place: int, window: Window) -> Sample:
             shot = shots[chosen[place]]

@@ -265,9 +265,7 @@ def default_metres_per_pixel(calibration: Calibration) -> float:
     return power * max(step for step in _ROUND_STEPS if step * power <= typical * (1 + 1e-9))
 
 
-def sharpness_image(
-    calibration: Calibration, range_margin: float = _RANGE_MARGIN
-) -> NDArray[np.float32]:
+def sharpness_image(calibration: Calibration) -> NDArray[np.float32]:
     """Return (H, W): how many pixels a metre of floor spans, at each pixel of the camera's picture.
 
     The geometric mean of both directions; 0 where the pixel shows no floor within range, or just
@@ -281,7 +279,7 @@ def sharpness_image(
         columns, rows = undistorted_coordinates(calibration, columns, rows)
     inverse = calibration.robot_from_image.astype(np.float32)
     x, y, w = (row[0] * columns + row[1] * rows + row[2] for row in inverse)
-    reach = np.float32(range_margin * calibration.max_range_metres)
+    reach = np.float32(_RANGE_MARGIN * calibration.max_range_metres)
     seen = (w > 0) & (x * x + y * y <= (reach * w) ** 2)
     # A pixel covers |det H| / w^3 of floor, the Jacobian determinant of the plane map x -> Hx / w.
     determinant = abs(float(np.linalg.det(calibration.robot_from_image)))

@@ -54,7 +54,9 @@ def reference(
     return picked, chosen
 
 
-def agreeing(cells: NDArray[np.uint8], weights: NDArray[np.float32]) -> NDArray[np.bool_]:
+def agreeing(
+    cells: NDArray[np.uint8], weights: NDArray[np.float32], reach_cells: int = 1
+) -> NDArray[np.bool_]:
     """Return (N, h, w): whether a view shows, in a cell that it sees, the floor.
 
     A value between the lowest and the highest of the reference around a cell agrees with it: so
@@ -68,15 +70,19 @@ def agreeing(cells: NDArray[np.uint8], weights: NDArray[np.float32]) -> NDArray[
     cells : (N, h, w, 3) uint8
     weights : (N, h, w) float32
         0 where a view does not see a cell.
+    reach_cells : int
+        How far around a cell the reference may show the same: by so much poses are wrong.
     """
     agrees = weights > 0
-    part = _doubtful(cells, agrees)
+    part = _doubtful(cells, agrees, reach_cells + 2)
     if part is not None:
-        agrees[:, *part] = _agreeing(cells[:, *part], weights[:, *part])
+        agrees[:, *part] = _agreeing(cells[:, *part], weights[:, *part], reach_cells)
     return agrees
 
 
-def _doubtful(cells: NDArray[np.uint8], seen: NDArray[np.bool_]) -> tuple[slice, slice] | None:
+def _doubtful(
+    cells: NDArray[np.uint8], seen: NDArray[np.bool_], margin: int
+) -> tuple[slice, slice] | None:
     """Return the window around all cells that three views or more show too differently."""
     count = seen.sum(axis=0)
     high = np.where(seen[..., None], cells, np.uint8(0)).max(axis=0)
@@ -86,17 +92,18 @@ def _doubtful(cells: NDArray[np.uint8], seen: NDArray[np.bool_]) -> tuple[slice,
     if not (differ & (count >= _LEAST_VIEWS)).any():
         return None
     rows, columns = np.flatnonzero(differ.any(axis=1)), np.flatnonzero(differ.any(axis=0))
-    # The reference looks one cell around, and what differs is grown by one.
     return (
-        slice(max(0, int(rows[0]) - 3), int(rows[-1]) + 4),
-        slice(max(0, int(columns[0]) - 3), int(columns[-1]) + 4),
+        slice(max(0, int(rows[0]) - margin), int(rows[-1]) + margin + 1),
+        slice(max(0, int(columns[0]) - margin), int(columns[-1]) + margin + 1),
     )
 
 
-def _agreeing(cells: NDArray[np.uint8], weights: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _agreeing(
+    cells: NDArray[np.uint8], weights: NDArray[np.float32], reach_cells: int
+) -> NDArray[np.bool_]:
     seen = weights > 0
     count = seen.sum(axis=0)
-    beyond = _beyond(cells, weights, count)
+    beyond = _beyond(cells, weights, count, reach_cells)
     differs = seen & (beyond > 0)
     for number in np.flatnonzero(differs.any(axis=(1, 2))):
         differs[number] = _grown(differs[number]) & seen[number]
@@ -121,11 +128,14 @@ def _agreeing(cells: NDArray[np.uint8], weights: NDArray[np.float32]) -> NDArray
 
 
 def _beyond(
-    cells: NDArray[np.uint8], weights: NDArray[np.float32], count: NDArray[np.intp]
+    cells: NDArray[np.uint8],
+    weights: NDArray[np.float32],
+    count: NDArray[np.intp],
+    reach_cells: int,
 ) -> NDArray[np.int16]:
     """Return (N, h, w): by how many gray levels each view leaves what the reference allows."""
     shown, _ = reference(cells, weights)
-    around = np.ones((3, 3), np.uint8)
+    around = np.ones((2 * reach_cells + 1, 2 * reach_cells + 1), np.uint8)
     nothing = (count == 0)[..., None]
     low = np.asarray(cv2.erode(np.where(nothing, np.uint8(255), shown), around), np.int16)
     high = np.asarray(cv2.dilate(np.where(nothing, np.uint8(0), shown), around), np.int16)

@@ -69,7 +69,7 @@ def border_fade(sharpness: NDArray[np.float32]) -> NDArray[np.uint8]:
     Parameters
     ----------
     sharpness : (H, W) float32
-        From `camera.sharpness_image`, without a margin: 0 where no floor is seen.
+        From `camera.sharpness_image`: 0 where no floor is seen.
     """
     usable = np.pad(np.where(sharpness > 0, np.uint8(255), np.uint8(0)), 1)
     distance = np.asarray(cv2.distanceTransform(usable, cv2.DIST_L2, 3))[1:-1, 1:-1]
@@ -199,8 +199,28 @@ def _look(picture: Picture, calibration: Calibration, map_from_robot: Pose2, gri
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         )
     sharpness = _sharpness(calibration, robot_from_pixel, grid)
-    weight = cv2.multiply(usable, sharpness, scale=1.0 / 255.0, dtype=cv2.CV_32F)
-    return _Look(homography, lens, sharpness, np.asarray(weight, np.float32))
+    scaled = cv2.multiply(usable, sharpness, scale=1.0 / 255.0, dtype=cv2.CV_32F)
+    weight = np.asarray(scaled, np.float32)
+    corners = map_from_robot.inverse().apply(grid.corners)
+    if np.hypot(*corners.T).max() > calibration.max_range_metres:
+        weight[_out_of_range(calibration, robot_from_pixel, grid)] = 0.0
+    return _Look(homography, lens, sharpness, weight)
+
+
+def _out_of_range(
+    calibration: Calibration, robot_from_pixel: NDArray[np.float64], grid: Grid
+) -> NDArray[np.bool_]:
+    """Return (h, w): whether a pixel lies beyond the range.
+
+    The squared distance of R p + t is |p|^2 s^2 + 2 t . R p + |t|^2: a sum of row and column.
+    """
+    offset = robot_from_pixel[:2, 2]
+    column, row = np.arange(grid.width), np.arange(grid.height)
+    scale = grid.metres_per_pixel**2
+    along = scale * column**2 + 2 * float(offset @ robot_from_pixel[:2, 0]) * column
+    down = scale * row**2 + 2 * float(offset @ robot_from_pixel[:2, 1]) * row
+    limit = calibration.max_range_metres**2 - float(offset @ offset)
+    return np.greater(along.astype(np.float32)[None, :], (limit - down).astype(np.float32)[:, None])
 
 
 def _sharpness(
