@@ -18,12 +18,12 @@ import cv2
 import numpy as np
 
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Calibration
+from slamcli.core.records import Calibration, Shot, Tile
 from slamcli.io.files import write_image
 from slamcli.io.frames import list_frames, read_frame
 from slamcli.mapper import Mapper
 from slamcli.painter import Painter
-from slamcli.stages import align, camera, dense, features, mosaic, view
+from slamcli.stages import align, camera, dense, features, view
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -141,21 +141,27 @@ def measure(count: int) -> list[tuple[str, float, float]]:
 
     painter = Painter(calibration, camera.default_metres_per_pixel(calibration))
     track = [Pose2(STEP_METRES * index, 0.0, 0.01 * index) for index in range(count)]
-    patches = [painter.patch(frames[i], track[i]) for i in range(count)]
     paint = median_milliseconds(lambda i: painter.patch(frames[i], track[i]), count)
-    patch_size = (patches[0].grid.width, patches[0].grid.height)
+    grids = [painter.extent([track[i]]) for i in range(count)]
+    patch_size = (grids[0].width, grids[0].height)
     map_from_image = [
-        patches[i].grid.pixel_from_metres @ track[i].matrix @ calibration.robot_from_image
+        grids[i].pixel_from_metres @ track[i].matrix @ calibration.robot_from_image
         for i in range(count)
     ]
     bare_paint = median_milliseconds(
         lambda i: cv2.warpPerspective(frames[i].image, map_from_image[i], patch_size), count
     )
-    canvas = mosaic.Canvas(painter.metres_per_pixel)
-    blend = median_milliseconds(lambda i: canvas.paint(patches[i]), count)
-    extent = canvas.extent()
-    assert extent is not None
-    picture, _ = canvas.flatten(extent)
+    shots = [Shot(i, track[i], calibration) for i in range(count)]
+    pictures = [painter.picture(frame, number) for number, frame in enumerate(frames)]
+    plan = painter.plan(shots)
+
+    def paint_tile(place: int) -> Tile | None:
+        key, numbers = plan[place]
+        return painter.paint(key, shots, numbers, pictures.__getitem__)
+
+    tiles = [paint_tile(place) for place in range(len(plan))]
+    blend = median_milliseconds(paint_tile, len(plan)) * len(plan) / count
+    picture = np.vstack([tile.image for tile in tiles if tile is not None])
     encode = median_milliseconds(lambda _: encode_png(picture), 3) / count
     return [
         ("decode JPEG", decode, bare_decode),
@@ -166,7 +172,7 @@ def measure(count: int) -> list[tuple[str, float, float]]:
         ("check the pixels", agree, math.nan),
         ("refine on the pixels", refine, math.nan),
         ("paint a patch", paint, bare_paint),
-        ("blend it", blend, math.nan),
+        ("paint the tiles (share)", blend, bare_paint),
         ("encode PNG (share)", encode, encode),
     ]
 

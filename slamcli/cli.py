@@ -57,7 +57,7 @@ def main() -> None:
 @options.frames
 @options.calibration
 @options.output("the map (default: the folder's name with _mosaic)")
-@options.metres_per_pixel
+@options.product_options
 @options.max_range
 @click.option("--frame-rate", type=options.POSITIVE, help="Frames per second, for stamps.")
 @click.option("--debug", is_flag=True, help="Also draw every frame's matches, into matches/.")
@@ -69,6 +69,14 @@ def main() -> None:
     "(a table of them), geojson (the track on Earth, with --gps).",
 )
 @options.telemetry_options
+@click.option(
+    "--dry-run",
+    is_flag=True,
+    help="Only look for faults in the frames and tell what mapping them will take.",
+)
+@click.option(
+    "--resume", is_flag=True, help="Go on with a run of the same frames and options, cut off."
+)
 @options.mapper_options
 @options.feature_details
 @options.match_details
@@ -96,13 +104,21 @@ def stitch(
         mapper=options.mapper_of(told),
         telemetry=options.telemetry_of(told),
         networks=options.networks_of(told),
-        metres_per_pixel=told["metres_per_pixel"],
+        products=options.products_of(told),
         max_range_metres=told["max_range"],
         frame_rate=told["frame_rate"],
         debug=told["debug"],
         export=told["export"],
+        resume=told["resume"],
         workers=workers or default_workers(),
     )
+    if told["dry_run"]:
+        from slamcli.run.forecast import forecast
+
+        with ProgressBar() as progress:
+            lines = forecast(frames, calibration, resolved, progress)
+        click.echo("\n".join(lines))
+        return
     folder = output or default_output(frames[0], "mosaic")
     with ProgressBar() as progress:
         report = run_stitch(
@@ -115,6 +131,7 @@ def stitch(
             ),
             overwrite=overwrite,
             progress=progress,
+            tell=progress.tell,
         )
     click.echo("\n".join(report.lines))
     sys.exit(report.exit_code)
@@ -155,6 +172,45 @@ def locate(
         )
     click.echo(report.json if as_json else "\n".join(report.lines))
     sys.exit(report.exit_code)
+
+
+@main.command()
+@click.argument("run", type=options.PATH)
+@options.output("the map (default: RUN's name with _render)")
+@options.product_options
+@click.option(
+    "--frames", "frames", type=options.PATH, help="Where the frames are now, if they were moved."
+)
+@options.workers
+@options.overwrite
+def render(
+    run: Path,
+    output: Path | None,
+    frames: Path | None,
+    workers: int | None,
+    overwrite: bool,
+    **told: Any,
+) -> None:
+    """Paint the map of RUN again, otherwise.
+
+    RUN is the output of slam stitch; no frame is located anew.
+    """
+    from slamcli.progress import ProgressBar
+    from slamcli.run.executor import default_workers
+    from slamcli.run.render import render as run_render
+
+    with ProgressBar() as progress:
+        lines = run_render(
+            run,
+            frames,
+            output or default_output(run, "render"),
+            options.products_of(told),
+            workers=workers or default_workers(),
+            overwrite=overwrite,
+            progress=progress,
+            tell=progress.tell,
+        )
+    click.echo("\n".join(lines))
 
 
 @main.command()

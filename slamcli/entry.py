@@ -23,6 +23,7 @@ Commands:
   evaluate   Measure how far POSES are from the TRUTH.
   locate     Find FRAMES in a finished MAP.
   match      Find the transform from FIRST to SECOND.
+  render     Paint the map of RUN again, otherwise.
   simulate   Simulate a drive over a floor into OUTPUT.
   stitch     Stitch FRAMES into one map.
   warp       Warp FRAMES to metric bird's-eye pictures.

@@ -33,6 +33,11 @@ class ProgressBar:
             self._stage, self._bar = stage, tqdm(total=total, desc=stage, unit="frame")
         self._bar.update(done - self._bar.n)
 
+    def tell(self, line: str) -> None:
+        """Say something that is not a result."""
+        self._close()
+        click.echo(line, err=True)
+
     def __enter__(self) -> Self:
         return self
 

@@ -1,72 +1,279 @@
-"""The canvas, with patches whose places are known."""
+"""Tiles painted from pictures of a floor that is known, and what may go wrong with them."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import cv2
 import numpy as np
+import pytest
+from floor_pictures import asphalt, forward_camera, photograph
 
-from slamcli.core.geometry import Grid
-from slamcli.core.records import Tile
-from slamcli.stages.mosaic import TILE_PIXELS, Canvas, picture_weight
+from slamcli.core.config import PaintOptions
+from slamcli.core.geometry import Grid, Pose2
+from slamcli.core.records import Frame, Shot
+from slamcli.painter import Painter
+from slamcli.stages import camera
+from slamcli.stages.mosaic import agreement, blend, exposure, obstacles, sampling, tiles
 
-SCALE = 0.01
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.core.config import Blend
+    from slamcli.core.records import Calibration, Tile
+    from slamcli.stages.mosaic.exposure import Exposure
+
+SCALE = 0.001
+FLOOR = asphalt(1400, seed=3)
+FLOOR_GRID = Grid(0.0, 0.7, SCALE, 1400, 1400)
+KEY = tiles.TileKey(-1, 1)
+POSES = [Pose2(0.05 * number, 0.1 - 0.01 * number, 0.03 * number) for number in range(8)]
 
 
-def patch(column: int, row: int, width: int, height: int, gray: int, weight: float) -> Tile:
-    """A flat patch whose upper left pixel is (column, row) of the endless raster."""
-    grid = Grid(column * SCALE, -row * SCALE, SCALE, width, height)
-    return Tile(
-        grid,
-        np.full((height, width, 3), gray, np.uint8),
-        np.full((height, width), weight, np.float32),
+def pictures(gains: tuple[float, ...] = (1.0,) * 8) -> list[Frame]:
+    calibration = forward_camera()
+    frames = []
+    for index, (pose, gain) in enumerate(zip(POSES, gains, strict=True)):
+        image = photograph(FLOOR, FLOOR_GRID, calibration, pose).astype(np.float32)
+        noise = np.random.default_rng(index).normal(0.0, 1.0, image.shape)
+        seen = np.clip(np.rint(gain * image + noise), 0, 255).astype(np.uint8)
+        frames.append(Frame(index, f"{index}.png", None, seen))
+    return frames
+
+
+def paint(
+    frames: list[Frame],
+    how: Blend = "best",
+    light: Exposure | None = None,
+    *,
+    standing: bool = True,
+    calibrations: list[Calibration] | None = None,
+) -> Tile:
+    calibration = forward_camera()
+    own = calibrations or [calibration] * len(frames)
+    shots = [
+        Shot(frame.index, POSES[frame.index], one) for frame, one in zip(frames, own, strict=True)
+    ]
+    painter = Painter(calibration, SCALE, PaintOptions(blend=how, standing=standing), light)
+    made = [painter.picture(frame, number) for number, frame in enumerate(frames)]
+    numbers = dict(painter.plan(shots))[KEY]
+    tile = painter.paint(KEY, shots, numbers, made.__getitem__)
+    assert tile is not None
+    return tile
+
+
+def truth() -> NDArray[np.float64]:
+    grid = tiles.tile_grid(KEY, SCALE)
+    column = round((grid.x_min - FLOOR_GRID.x_min) / SCALE)
+    row = round((FLOOR_GRID.y_max - grid.y_max) / SCALE)
+    return FLOOR[row : row + 512, column : column + 512].astype(np.float64)
+
+
+def decibels(tile: Tile, inside: NDArray[np.bool_] | None = None) -> float:
+    chosen = tile.sharpness > 0 if inside is None else inside
+    error = (tile.image[..., 1].astype(np.float64) - truth())[chosen]
+    return 10 * math.log10(255**2 / float(np.mean(error**2)))
+
+
+def energy(image: NDArray[np.generic], inside: NDArray[np.bool_]) -> float:
+    values = image.astype(np.float32)
+    across, down = cv2.Sobel(values, cv2.CV_32F, 1, 0), cv2.Sobel(values, cv2.CV_32F, 0, 1)
+    return float(
+        (across**2 + down**2)[cv2.erode(inside.astype(np.uint8), np.ones((5, 5))) > 0].mean()
     )
 
 
-def test_the_pixel_seen_best_wins_whatever_the_order() -> None:
-    near, far = patch(0, 0, 20, 10, 200, 5.0), patch(10, 0, 20, 10, 50, 1.0)
-    pictures = []
-    for order in ((near, far), (far, near)):
-        canvas = Canvas(SCALE)
-        for one in order:
-            canvas.paint(one)
-        grid = canvas.extent()
-        assert grid is not None
-        assert (grid.width, grid.height) == (30, 10)
-        pictures.append(canvas.flatten(grid)[0])
-    np.testing.assert_array_equal(pictures[0], pictures[1])
-    assert pictures[0][5, 19, 0] == 200
-    assert pictures[0][5, 20, 0] == 50
+def test_the_best_blend_is_nearer_to_the_floor_and_sharper_than_the_mean() -> None:
+    frames = pictures()
+    best, mean = paint(frames), paint(frames, "mean")
+    seen = (best.sharpness > 0) & (mean.sharpness > 0)
+    assert seen.mean() > 0.8
+    np.testing.assert_array_equal(best.sharpness > 0, mean.sharpness > 0)
+    assert decibels(best) > 27.0
+    assert decibels(best) > decibels(mean) + 0.5
+    sharp = energy(truth(), seen)
+    assert energy(best.image[..., 1], seen) > 1.1 * energy(mean.image[..., 1], seen)
+    assert 0.5 < energy(best.image[..., 1], seen) / sharp < 1.1
 
 
-def test_a_patch_over_many_tiles_comes_back_whole() -> None:
-    canvas = Canvas(SCALE)
-    size = TILE_PIXELS + 40
-    one = patch(-20, -30, size, size, 7, 1.0)
-    one.image[:] = np.random.default_rng(0).integers(0, 255, one.image.shape, dtype=np.uint8)
-    canvas.paint(one)
-    assert len(list(canvas.tiles())) == 9
-    grid = canvas.extent()
-    assert grid is not None
-    np.testing.assert_allclose(
-        (grid.x_min, grid.y_max, grid.width, grid.height), (-0.2, 0.3, size, size)
+@pytest.mark.parametrize("how", ["feather", "multiband", "median"])
+def test_every_blend_shows_the_floor(how: Blend) -> None:
+    frames = pictures()
+    tile = paint(frames, how)
+    np.testing.assert_array_equal(tile.sharpness > 0, paint(frames).sharpness > 0)
+    assert decibels(tile) > 25.0
+
+
+def test_exposure_is_found_and_evened_out() -> None:
+    gains = (1.0, 1.2, 0.8, 1.0, 1.1, 0.75, 1.25, 0.8)
+    frames = pictures(gains)
+    calibration = forward_camera()
+    light = solved(frames, calibration)
+    np.testing.assert_allclose(light.gains * gains / np.median(light.gains * gains), 1.0, atol=0.01)
+    assert abs(sum(light.vignetting)) < 0.03
+    assert decibels(paint(frames, light=light)) > decibels(paint(pictures())) - 1.0
+    assert decibels(paint(frames)) < 22.0
+
+
+def solved(frames: list[Frame], calibration: Calibration) -> Exposure:
+    hull, step = camera.footprint_hull(calibration), exposure.comparison_step(calibration)
+    return exposure.solve(
+        [
+            exposure.observe(
+                cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY), calibration, hull, pose, step
+            )
+            for frame, pose in zip(frames, POSES, strict=True)
+        ]
     )
-    image, mask = canvas.flatten(grid)
-    np.testing.assert_array_equal(image, one.image)
-    assert mask.all()
 
 
-def test_the_area_is_what_was_seen() -> None:
-    canvas = Canvas(SCALE)
-    assert canvas.extent() is None
-    canvas.paint(patch(0, 0, 10, 10, 1, 1.0))
-    canvas.paint(patch(5, 0, 10, 10, 1, 1.0))
-    np.testing.assert_allclose(canvas.seen_area(), 150 * SCALE**2)
+def test_vignetting_is_found_and_taken_back() -> None:
+    calibration = forward_camera()
+    falls = exposure.brightening_image(calibration.image_size, (-0.25, 0.0))
+    assert falls is not None
+    frames = [
+        replace(frame, image=np.rint(frame.image * falls[..., None]).astype(np.uint8))
+        for frame in pictures()
+    ]
+    light = solved(frames, calibration)
+    radius = np.array([0.2, 0.5, 0.9])
+    found = light.vignetting[0] * radius + light.vignetting[1] * radius**2
+    np.testing.assert_allclose(found, 0.25 * radius, atol=0.02)
+    np.testing.assert_allclose(light.gains, 1.0, atol=0.02)
+    evened = exposure.correct(
+        frames[0].image, 1.0, exposure.brightening_image((640, 480), (0.25, 0))
+    )
+    assert np.abs(evened.astype(int) - pictures()[0].image).max() <= 2
+
+
+def test_what_passes_through_some_views_is_kept_out_and_shown_apart() -> None:
+    clean, frames = paint(pictures()), pictures()
+    calibration = forward_camera()
+    place = np.array([[0.72, 0.18], [0.84, 0.18], [0.84, 0.3], [0.72, 0.3]])
+    for number in (6, 7):
+        pixels, _ = camera.project_floor(calibration, POSES[number].inverse().apply(place))
+        spoilt = frames[number].image.copy()
+        cv2.fillConvexPoly(spoilt, np.rint(pixels).astype(np.int32), (20, 20, 220))
+        frames[number] = replace(frames[number], image=spoilt)
+    kept, through = paint(frames), paint(frames, standing=False)
+    assert decibels(kept) > decibels(clean) - 1.0
+    assert decibels(through) < decibels(clean) - 3.0
+    assert clean.standing is None
+    assert kept.standing is not None
+    grid = tiles.tile_grid(KEY, SCALE)
+    middle = grid.pixel_from_metres @ (*place.mean(axis=0), 1.0)
+    shown = kept.standing[round(middle[1]), round(middle[0])]
+    np.testing.assert_allclose(shown[:3], (20, 20, 220), atol=3)
+    assert shown[3] == obstacles.PASSED_ALPHA
+
+
+def test_a_thing_is_followed_to_where_only_two_views_see_the_floor() -> None:
+    cells = np.full((4, 20, 20, 3), 100, np.uint8)
+    weights = np.ones((4, 20, 20), np.float32)
+    weights[1:3, 10:] = 0.0
+    cells[0, 4:16, 6:13] = 20
+    weights[0] = 2.0
+    shows = agreement.agreeing(cells, weights)
+    assert not shows[0, 5:15, 6:13].any()
+    assert shows[3].all()
+    assert shows[0, :, :4].all()
+
+
+def test_two_views_that_differ_everywhere_decide_nothing() -> None:
+    cells = np.stack([np.full((8, 8, 3), 50, np.uint8), np.full((8, 8, 3), 200, np.uint8)])
+    assert agreement.agreeing(cells, np.ones((2, 8, 8), np.float32)).all()
+
+
+def test_each_frame_may_have_a_tilt_of_its_own() -> None:
+    tilted = replace(
+        forward_camera(),
+        robot_from_image=camera.compose_robot_from_image(
+            forward_camera().camera_matrix, 0.3, math.radians(46.0), 0.0
+        ),
+    )
+    frames = pictures()
+    odd = photograph(FLOOR, FLOOR_GRID, tilted, POSES[7])
+    frames[7] = replace(frames[7], image=odd)
+    own = [forward_camera()] * 8
+    own[7] = tilted
+    assert decibels(paint(frames, calibrations=own, standing=False)) > 27.0
+    assert decibels(paint(frames, standing=False)) < 25.0
+
+
+def test_a_lens_is_read_through_where_each_point_lies() -> None:
+    bent = replace(forward_camera(), distortion=np.array([-0.25, 0.06, 0.001, -0.001, 0.0]))
+    straight = forward_camera()
+    columns, rows = np.meshgrid(np.arange(640.0), np.arange(480.0))
+    places = camera.undistort_points(bent, np.column_stack([columns.ravel(), rows.ravel()]))
+    xy = places.astype(np.float32).reshape(480, 640, 2)
+    smooth = cv2.GaussianBlur(FLOOR, (0, 0), 4.0)
+    seen = photograph(smooth, FLOOR_GRID, straight, POSES[0])
+    image = cv2.remap(seen, xy[..., 0], xy[..., 1], cv2.INTER_CUBIC)
+    grid = Grid(0.4, 0.2, SCALE, 200, 200)
+    read = []
+    for calibration, pixels in ((bent, image), (straight, seen)):
+        usable = sampling.border_fade(camera.sharpness_image(calibration))
+        made = sampling.make_picture(pixels, usable, None, 1)
+        read.append(sampling.sample(made, calibration, POSES[0], grid))
+    both = (read[0].weight > 0) & (read[1].weight > 0)
+    assert both.mean() > 0.9
+    difference = read[0].image[both].astype(int) - read[1].image[both]
+    assert np.abs(difference).mean() < 0.7
 
 
 def test_weight_grows_with_sharpness_and_fades_at_the_border() -> None:
     sharpness = np.full((100, 100), 500.0, np.float32)
-    sharpness[50:] = 250.0
     sharpness[:, 80:] = 0.0
-    weight = picture_weight(sharpness)
-    assert weight[40, 40] == 2 * weight[60, 40] > 0
-    assert weight[40, 79] < weight[40, 70] < weight[40, 40]
-    assert not weight[:, 80:].any()
+    fade = sampling.border_fade(sharpness)
+    assert fade[40, 40] == 255
+    assert 0 < fade[40, 79] < fade[40, 70] < 255
+    assert not fade[:, 80:].any()
+    calibration = forward_camera()
+    painter = Painter(calibration, SCALE)
+    look = painter.patch(pictures()[0], Pose2())
+    grid = painter.extent([Pose2()])
+    near, far = (grid.pixel_from_metres @ (x, 0.0, 1.0) for x in (0.3, 0.6))
+    weights = [look.weight[round(p[1]), round(p[0])] for p in (near, far)]
+    sampled = camera.floor_sampling(calibration, [(0.3, 0.0), (0.6, 0.0)])
+    np.testing.assert_allclose(weights, 1.0 / np.sqrt(sampled.prod(axis=1)), rtol=0.01)
+
+
+def test_the_plan_names_every_tile_that_a_frame_sees() -> None:
+    outline = np.array([[0.1, 0.1], [1.6, 0.2], [1.5, 1.4], [0.2, 0.9]])
+    keys = tiles.tiles_under(outline, SCALE)
+    x, y = np.meshgrid(np.arange(0.0, 2.0, 0.01), np.arange(0.0, 2.0, 0.01))
+    points = np.column_stack([x.ravel(), y.ravel()]).astype(np.float32)
+    inside = [
+        cv2.pointPolygonTest(outline.astype(np.float32), (float(p[0]), float(p[1])), False) > 0
+        for p in points
+    ]
+    side = tiles.TILE_PIXELS * SCALE
+    needed = {
+        tiles.TileKey(-int(p[1] // side) - 1, int(p[0] // side))
+        for p, hit in zip(points, inside, strict=True)
+        if hit
+    }
+    assert needed <= set(keys)
+    assert len(keys) <= len(needed) + 2
+    for key in keys:
+        grid = tiles.tile_grid(key, SCALE)
+        assert grid.x_max > 0.1
+        assert grid.y_max > 0.1
+
+
+def test_a_line_is_an_obstacle_and_a_field_is_not() -> None:
+    image = np.full((200, 200, 3), 40, np.uint8)
+    image[95:100] = 230
+    image[120:180, 20:180] = 230
+    mask = np.full((200, 200), 255, np.uint8)
+    mask[:, :10] = 0
+    found = obstacles.line_cells(image, mask, 0.005)
+    assert found[95:100, 20:].all()
+    assert not found[150, 60:140].any()
+    assert not found[40].any()
+
+
+def test_blends_are_by_name() -> None:
+    assert list(blend.BLENDS) == ["best", "feather", "multiband", "median", "mean"]

@@ -109,6 +109,7 @@ def test_a_run_tells_what_it_did(course_map: Path) -> None:
     assert cv2.imread(str(course_map / "trajectory.png")) is not None
     assert not (course_map / "matches").exists()
     assert sorted(p.name for p in course_map.iterdir()) == [
+        "map.slam",
         "mosaic.pgw",
         "mosaic.png",
         "mosaic.yaml",

@@ -38,6 +38,7 @@ TOP = max(FLOORS.values())
 ONE_ROOM = {
     "gtsam": "stages/posegraph/gtsam_solver",
     "pyproj": "stages/geodesy",
+    "rasterio": "io/geotiff",
     "tqdm": "progress",
     "click": ("cli", "options", "progress"),
 }

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 FeatureMethod = Literal["orb", "sift", "aliked", "disk"]
 TransformModel = Literal["rigid", "similarity", "affine", "homography"]
 MatchFilter = Literal["ratio", "cross-check"]
+MapFormat = Literal["png", "geotiff", "deepzoom", "nav2"]
+Layer = Literal["resolution", "views", "last-frame"]
+Blend = Literal["best", "feather", "multiband", "median", "mean"]
 
 # Pictures enlarged more than this eat the memory and show nothing new.
 _MOST_ENLARGEMENT = 8.0
@@ -236,3 +239,76 @@ class MapperOptions:
     convincing_inliers: int = 120
     convincing_score: float = 0.5
     loops: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class PaintOptions:
+    """How placed frames become the picture of the map.
+
+    Attributes
+    ----------
+    metres_per_pixel : float or None
+        None chooses it from the camera's sampling.
+    blend : str
+        How the views of a spot become one colour.
+    gain : bool
+        Even out exposure and vignetting.
+    standing : bool
+        Keep what stands on the floor or moved out of it, where another view saw the floor.
+    """
+
+    metres_per_pixel: float | None = None
+    blend: Blend = "best"
+    gain: bool = True
+    standing: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Datum:
+    """Where the map's origin lies on the earth.
+
+    Attributes
+    ----------
+    latitude_degrees, longitude_degrees : float
+        WGS84.
+    east_heading_radians : float
+        From the east, counter-clockwise, to the map's x axis.
+    """
+
+    latitude_degrees: float
+    longitude_degrees: float
+    east_heading_radians: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ProductOptions:
+    """What is written of the map.
+
+    Attributes
+    ----------
+    paint : PaintOptions
+    formats : tuple of str
+    layers : tuple of str
+        What else is written for every pixel.
+    nav_lines : bool
+        Painted lines are obstacles in the Nav2 map, in place of what stands.
+    nav_metres_per_pixel : float
+        Of the Nav2 map; never finer than the mosaic.
+    turn_radians : float
+        The map is turned counter-clockwise by so much.
+    crop : (float, float, float, float) or None
+        x_min, y_min, x_max, y_max of the turned map, metres.
+    memory_bytes : int
+        For pictures and canvases; the libraries themselves take about 0.3 GB more.
+    datum : Datum or None
+    """
+
+    paint: PaintOptions = field(default_factory=PaintOptions)
+    formats: tuple[MapFormat, ...] = ("png",)
+    layers: tuple[Layer, ...] = ()
+    nav_lines: bool = False
+    nav_metres_per_pixel: float = 0.01
+    turn_radians: float = 0.0
+    crop: tuple[float, float, float, float] | None = None
+    memory_bytes: int = 2_000_000_000
+    datum: Datum | None = None

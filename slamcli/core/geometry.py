@@ -166,6 +166,12 @@ class Grid:
         )
 
     @property
+    def metres_from_corner(self) -> NDArray[np.float64]:
+        """(3, 3): as `metres_from_pixel`, but whole numbers at pixels' upper left corners."""
+        scale = self.metres_per_pixel
+        return np.array([[scale, 0.0, self.x_min], [0.0, -scale, self.y_max], [0.0, 0.0, 1.0]])
+
+    @property
     def pixel_from_metres(self) -> NDArray[np.float64]:
         """(3, 3): metres (x, y) to pixel (column, row), whole numbers at pixel centres."""
         scale = 1.0 / self.metres_per_pixel

@@ -69,7 +69,9 @@ def refuse_existing(path: Path, *, overwrite: bool) -> None:
 
 
 @contextmanager
-def output_folder(folder: Path, products: tuple[str, ...], *, overwrite: bool) -> Iterator[Path]:
+def output_folder(
+    folder: Path, products: tuple[str, ...], *, overwrite: bool, resume: bool = False
+) -> Iterator[Path]:
     """Yield an empty staging folder; on success its entries move into `folder`, else it vanishes.
 
     Parameters
@@ -79,6 +81,9 @@ def output_folder(folder: Path, products: tuple[str, ...], *, overwrite: bool) -
     products : tuple of str
         Glob patterns of the names that this command may write into `folder`. One that is there
         already is an error, unless `overwrite`, which removes it. Nothing else is ever touched.
+    resume : bool
+        An earlier run was cut off here: what it left half-written is removed, and `overwrite` is
+        meant.
 
     Raises
     ------
@@ -88,12 +93,15 @@ def output_folder(folder: Path, products: tuple[str, ...], *, overwrite: bool) -
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"cannot write into {folder}: it is a file; name a folder")
     earlier = _products_in(folder, products)
-    if earlier and not overwrite:
+    if earlier and not (overwrite or resume):
         raise OutputError(
             f"{folder} already holds {earlier[0].name}; use --overwrite or another --output"
         )
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        if resume:
+            for path in folder.glob(".partial-*"):
+                remove_folder(path)
         staging_name = tempfile.mkdtemp(dir=folder, prefix=".partial-")
     except OSError as error:
         raise OutputError(f"cannot write into {folder}: {error.strerror or error}") from error
@@ -111,6 +119,20 @@ def output_folder(folder: Path, products: tuple[str, ...], *, overwrite: bool) -
         raise OutputError(f"cannot write into {folder}: {error.strerror or error}") from error
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def remove_folder(folder: Path) -> None:
+    """Delete a folder of our own and all that is in it."""
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def move_folder(source: Path, target: Path) -> None:
+    """Move a folder within one file system; nothing when there is none."""
+    try:
+        if source.is_dir():
+            source.replace(target)
+    except OSError as error:
+        raise OutputError(f"cannot write {target}: {error.strerror or error}") from error
 
 
 def read_text(path: Path, what: str) -> str:

@@ -98,6 +98,20 @@ def read_frame(file: FrameFile) -> Frame:
     return Frame(file.index, file.name, file.stamp, image, mask)
 
 
+def read_reduced_gray(file: FrameFile) -> NDArray[np.uint8]:
+    """Return the frame as (h, w) gray of a quarter of its size, quickly; raises FrameError."""
+    try:
+        data = np.frombuffer(file.path.read_bytes(), np.uint8)
+        small = cv2.imdecode(data, cv2.IMREAD_REDUCED_GRAYSCALE_4) if data.size else None
+    except OSError as error:
+        raise FrameError(f"cannot be read: {error.strerror or error}") from error
+    except cv2.error as error:
+        raise FrameError("too many pixels to be decoded; save it smaller") from error
+    if small is None:
+        small = cv2.cvtColor(read_image(file.path), cv2.COLOR_BGR2GRAY)[::4, ::4]
+    return np.asarray(small, dtype=np.uint8)
+
+
 def read_image(path: Path) -> NDArray[np.uint8]:
     """Return a picture as (H, W, 3) uint8 BGR, turned as its EXIF orientation says.
 

@@ -16,6 +16,7 @@ from slamcli.core.errors import FrameError, InputError
 from slamcli.core.networks import NetworkPoints
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -116,7 +117,7 @@ def _aliked(path: Path, size: tuple[int, int] | None) -> PointNetwork:
     # The network spans -1 to 1 from the first pixel to the last, where OpenCV takes it to span the
     # picture from border to border.
     scale = np.array([(width - 1) / width, (height - 1) / height])
-    return _Points(path, detector, (width, height), scale)
+    return _Points(_aliked, path, detector, (width, height), scale)
 
 
 def _disk(path: Path, size: tuple[int, int] | None) -> PointNetwork:
@@ -129,7 +130,7 @@ def _disk(path: Path, size: tuple[int, int] | None) -> PointNetwork:
         detector = cv2.DISK.create(str(path), -1, 0.0, size)
     except cv2.error as error:
         raise InputError(_unreadable(path, error)) from error
-    return _Points(path, detector, size, np.ones(2))
+    return _Points(_disk, path, detector, size, np.ones(2))
 
 
 class _Points:
@@ -137,13 +138,19 @@ class _Points:
 
     def __init__(
         self,
+        make: Callable[[Path, tuple[int, int]], PointNetwork],
         path: Path,
         detector: cv2.Feature2D,
         size: tuple[int, int],
         scale: NDArray[np.float64],
     ) -> None:
+        self._make = make
         self._path, self._detector, self._size, self._scale = path, detector, size, scale
         self._lock = threading.Lock()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # A run's state names the file; the network is read from it again.
+        return self._make, (self._path, self._size)
 
     def __str__(self) -> str:
         return str(self._path)
@@ -172,6 +179,9 @@ class _LightGlue:
     def __init__(self, path: Path, matcher: cv2.LightGlueMatcher) -> None:
         self._path, self._matcher = path, matcher
         self._lock = threading.Lock()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return load_match_network, (self._path,)
 
     def __str__(self) -> str:
         return str(self._path)

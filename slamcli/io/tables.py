@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-Scalar = str | int | float | bool | None
+Scalar = str | int | float | bool | tuple[str, ...] | tuple[float, ...] | None
 
 
 def flatten(options: object, prefix: str = "") -> list[tuple[str, str, Scalar]]:
@@ -46,5 +46,7 @@ def _literal(value: Scalar) -> str:
         return "true" if value else "false"
     if isinstance(value, (int, float)):
         return repr(value)
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_literal, value))}]"
     # What is no number or word, such as a network, is told by its name.
     return json.dumps(value, ensure_ascii=False, default=str)

@@ -8,61 +8,46 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from slamcli import __version__
-from slamcli.core.errors import FrameError, InputError
-from slamcli.core.geometry import apply_homography, invert, path_length
-from slamcli.core.records import Prepared
+from slamcli.core.config import ProductOptions
+from slamcli.core.errors import FrameError
+from slamcli.core.records import PoseEstimate, Prepared
 from slamcli.core.telemetry import TelemetryOptions
-from slamcli.graph import placed_fragments
-from slamcli.io import rasters, tables
-from slamcli.io.files import output_folder, write_image
+from slamcli.io.checkpoints import Checkpoint, run_key
+from slamcli.io.files import move_folder, output_folder, remove_folder
 from slamcli.io.frames import read_frame
 from slamcli.io.maps import MAP_NAME, save_map
 from slamcli.io.poses import write_poses
 from slamcli.mapper import Mapper
-from slamcli.painter import Painter
-from slamcli.run import exports
+from slamcli.run import exports, products, reporting
 from slamcli.run.executor import ordered
 from slamcli.run.inputs import open_inputs
+from slamcli.run.interruption import interruptible
 from slamcli.run.networks import (
+    LEARNED,
     NO_NETWORKS,
     NetworkFiles,
     with_match_network,
     with_point_network,
 )
+from slamcli.run.painting import scenes_of
 from slamcli.run.telemetry import Telemetry, TelemetryFiles, feed, feed_shifted, read_telemetry
-from slamcli.stages import camera, view
-from slamcli.stages.draw.matches import draw_matches
-from slamcli.stages.draw.trajectory import draw_trajectory
-from slamcli.stages.mosaic import Canvas
+from slamcli.run.trials import draw_trials
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from slamcli.comparison import Trial
     from slamcli.core.config import MapperOptions
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import PoseEstimate, Tile
     from slamcli.io.frames import FrameFile
     from slamcli.run.executor import Progress
     from slamcli.run.inputs import Inputs
+    from slamcli.run.interruption import Interruption
+    from slamcli.run.reporting import StitchReport
 
-PRODUCTS = (
-    "mosaic*.png",
-    "mosaic*.yaml",
-    "mosaic*.pgw",
-    "poses.csv",
-    "trajectory*.png",
-    "run.toml",
-    MAP_NAME,
-    *exports.PRODUCTS,
-)
+PRODUCTS = ("poses.csv", "run.toml", MAP_NAME, *products.PRODUCTS, *exports.PRODUCTS)
 DEBUG_PRODUCTS = "matches"
-# A PNG of more than this would not open in most viewers.
-LARGEST_MOSAIC_PIXELS = 400_000_000
+# A state is kept so often, and takes at most this share of the time.
+_SAVE_SECONDS, _SAVE_SHARE = 5.0, 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +59,8 @@ class StitchOptions:
     mapper : MapperOptions
     telemetry : TelemetryOptions
     networks : NetworkFiles
-    metres_per_pixel : float or None
-        Of the mosaic; None chooses it from the camera's sampling.
+    products : ProductOptions
+        What is painted and written.
     max_range_metres : float or None
         Overrides the calibration's far limit.
     frame_rate : float or None
@@ -84,6 +69,8 @@ class StitchOptions:
         Also draw every frame's matches.
     export : tuple of str
         What else to write; see `slamcli.run.exports`.
+    resume : bool
+        Go on with what an earlier run of the same kind, cut off, has left.
     workers : int
         Threads.
     """
@@ -91,20 +78,13 @@ class StitchOptions:
     mapper: MapperOptions
     telemetry: TelemetryOptions = field(default_factory=TelemetryOptions)
     networks: NetworkFiles = NO_NETWORKS
-    metres_per_pixel: float | None = None
+    products: ProductOptions = field(default_factory=ProductOptions)
     max_range_metres: float | None = None
     frame_rate: float | None = None
     debug: bool = False
     export: tuple[str, ...] = ()
+    resume: bool = False
     workers: int = 1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StitchReport:
-    """What came of it, as the lines of the closing table, and the exit code."""
-
-    lines: tuple[str, ...]
-    exit_code: int
 
 
 def stitch(
@@ -116,6 +96,7 @@ def stitch(
     telemetry: TelemetryFiles | None = None,
     overwrite: bool,
     progress: Progress,
+    tell: Callable[[str], None],
 ) -> StitchReport:
     """Map the frames of folders or files into `output`.
 
@@ -128,21 +109,84 @@ def stitch(
     files = telemetry or TelemetryFiles()
     readings = read_telemetry(files, inputs)
     exports.check_exports(options.export, inputs.files, has_gps=bool(readings.gps))
-    mapper = Mapper(inputs.calibration, _with_networks(options), options.telemetry)
+    products.check_formats(options.products)
+    new = Mapper(inputs.calibration, _with_networks(options), options.telemetry)
     if not readings.find_time_offset:
-        feed(mapper, readings)
-    with output_folder(output, (*PRODUCTS, DEBUG_PRODUCTS), overwrite=overwrite) as staging:
-        note = _locate(mapper, inputs, options, readings, staging, progress)
-        estimates = mapper.estimates
-        area = _write_maps(inputs, estimates, options, staging, progress)
+        feed(new, readings)
+    patterns = (*PRODUCTS, DEBUG_PRODUCTS)
+    with (
+        interruptible() as interruption,
+        Checkpoint(output) as checkpoint,
+        output_folder(output, patterns, overwrite=overwrite, resume=options.resume) as staging,
+    ):
+        mapper = _begin(new, inputs, options, files, checkpoint, tell)
+        note = _locate(mapper, inputs, options, readings, checkpoint, progress, interruption)
+        estimates = [*mapper.estimates, *_not_reached(inputs, mapper)]
+        scenes = scenes_of(
+            inputs.calibration,
+            estimates,
+            lambda estimate: inputs.files[estimate.index],
+            options.products.turn_radians,
+        )
+        # Tiles of poses that more frames would change are of no use to a run that goes on.
+        unfinished = staging / "tiles"
+        area = products.write_maps(
+            scenes,
+            options.products,
+            staging,
+            unfinished if interruption.happened else checkpoint.tiles,
+            options.workers,
+            progress,
+            tell,
+            interruption,
+        )
+        remove_folder(unfinished)
         write_poses(staging / "poses.csv", estimates)
         floor_map = mapper.floor_map()
-        if floor_map is not None:
+        if floor_map is not None and options.mapper.features.method not in LEARNED:
             save_map(staging / MAP_NAME, floor_map)
         seconds = time.monotonic() - started
         exports.write_exports(staging, options.export, mapper)
-        _write_run(staging, inputs, options, files, mapper)
-    return _report(inputs, mapper, area, seconds, output, note)
+        reporting.write_run(
+            staging / "run.toml", sources, inputs, options, files, estimates, mapper
+        )
+        move_folder(checkpoint.drawings, staging / DEBUG_PRODUCTS)
+        if interruption.happened:
+            checkpoint.keep()
+    return reporting.report(
+        inputs,
+        estimates,
+        mapper,
+        area,
+        seconds,
+        output,
+        note,
+        interrupted=interruption.happened,
+    )
+
+
+def _begin(
+    new: Mapper,
+    inputs: Inputs,
+    options: StitchOptions,
+    files: TelemetryFiles,
+    checkpoint: Checkpoint,
+    tell: Callable[[str], None],
+) -> Mapper:
+    """Return the new mapper, or that of a run that was cut off."""
+    total = len(inputs.files)
+    paths = [file.path for file in inputs.files]
+    others = (inputs.calibration_path, files.odometry, files.compass, files.gps)
+    paths += [path for path in others if path is not None]
+    plain = replace(options, resume=False, workers=1)
+    if checkpoint.open(run_key(f"{__version__} {plain!r}", paths), resume=options.resume):
+        mapper = checkpoint.load()
+        if isinstance(mapper, Mapper):
+            tell(f"resumed: {len(mapper.estimates)} of {total} frames had been located")
+            return mapper
+    elif options.resume:
+        tell("nothing to resume: no run of these frames and options was cut off; starting anew")
+    return new
 
 
 def _with_networks(options: StitchOptions) -> MapperOptions:
@@ -160,69 +204,56 @@ def _locate(
     inputs: Inputs,
     options: StitchOptions,
     readings: Telemetry,
-    staging: Path,
+    checkpoint: Checkpoint,
     progress: Progress,
+    interruption: Interruption,
 ) -> str:
-    """First walk: every frame to its pose or its reason; return the clocks' offset if found."""
-    total = len(inputs.files)
+    """First walk: every frame to its pose or its reason; those that a mapper has seen are done.
+
+    Returns the clocks' offset, in words, if it was to be found.
+    """
+    total, first = len(inputs.files), len(mapper.estimates)
     work = partial(_read_and_prepare, mapper)
-    for done, prepared in enumerate(ordered(work, inputs.files, options.workers), start=1):
+    pace = _Pace()
+    prepared_frames = ordered(work, inputs.files[first:], options.workers)
+    for done, prepared in enumerate(prepared_frames, start=first + 1):
         mapper.step(prepared)
         if options.debug:
-            _draw_trials(mapper.trials, staging / "matches")
+            draw_trials(mapper.trials, checkpoint.drawings)
         progress("locating", done, total)
+        stop = interruption.heeded()
+        if stop or pace.due() or done == total:
+            pace.saving(lambda: checkpoint.save(mapper))
+        if stop:
+            break
     note = feed_shifted(mapper, readings) if readings.find_time_offset else ""
     mapper.finish()
     return note
 
 
-def _draw_trials(trials: Sequence[Trial], folder: Path) -> None:
-    """Draw every comparison that placed a frame, or failed to."""
-    for trial in trials:
-        first, second, fit = trial.keyframe, trial.prepared, trial.alignment
-        picture_first, points_first, to_first = _drawable(first, fit.matches[:, 0])
-        picture_second, points_second, to_second = _drawable(second, fit.matches[:, 1])
-        if trial.link is not None:
-            a_from_b: NDArray[np.float64] | None = trial.link.a_from_b.matrix
-            verdict = f"placed, correlation {trial.link.score:.3f}"
-        else:
-            a_from_b = fit.a_from_b if fit.accepted else None
-            verdict = trial.reason
-        second_from_first = None
-        if a_from_b is not None:
-            second_from_first = to_second @ invert(a_from_b) @ invert(to_first)
-        header = [
-            f"{second.name} on {first.name}: {verdict}",
-            f"{fit.inlier_count} inliers of {len(fit.matches)} matches, "
-            f"overlap {trial.overlap:.0%}; the robot looks to the right",
-        ]
-        drawing = draw_matches(
-            picture_first,
-            picture_second,
-            points_first,
-            points_second,
-            fit.inliers,
-            second_from_first,
-            header,
-        )
-        write_image(folder / f"{second.index:04d}_to_{first.index:04d}.png", drawing)
+def _not_reached(inputs: Inputs, mapper: Mapper) -> list[PoseEstimate]:
+    """Return the frames that an interrupted run has not come to."""
+    reason = "not reached: interrupted"
+    return [
+        PoseEstimate(file.index, file.name, file.stamp, None, "lost", reason)
+        for file in inputs.files[len(mapper.estimates) :]
+    ]
 
 
-def _drawable(
-    prepared: Prepared, chosen: NDArray[np.int32]
-) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
-    """Return a frame's view, its chosen points in that view's pixels, and pixel_from_metres.
+class _Pace:
+    """When to save a state next: not before long, and never for more than a share of the time."""
 
-    Of a keyframe from long ago only half the resolution is kept.
-    """
-    assert prepared.features is not None
-    if prepared.view is not None:
-        image, pixel_from_metres = prepared.view.image, prepared.view.grid.pixel_from_metres
-    else:
-        first = prepared.levels[0]
-        image, pixel_from_metres = first.image, first.pixel_from_metres
-    points = apply_homography(pixel_from_metres, prepared.features.points[chosen])
-    return view.to_colour(image), points, pixel_from_metres
+    def __init__(self) -> None:
+        self._wait, self._last = _SAVE_SECONDS, time.monotonic()
+
+    def due(self) -> bool:
+        return time.monotonic() - self._last >= self._wait
+
+    def saving(self, save: Callable[[], None]) -> None:
+        started = time.monotonic()
+        save()
+        self._last = time.monotonic()
+        self._wait = max(_SAVE_SECONDS, (self._last - started) / _SAVE_SHARE)
 
 
 def _read_and_prepare(mapper: Mapper, file: FrameFile) -> Prepared:
@@ -230,143 +261,3 @@ def _read_and_prepare(mapper: Mapper, file: FrameFile) -> Prepared:
         return mapper.prepare(read_frame(file))
     except FrameError as error:
         return Prepared(file.index, file.name, file.stamp, None, None, str(error))
-
-
-def _write_maps(
-    inputs: Inputs,
-    estimates: Sequence[PoseEstimate],
-    options: StitchOptions,
-    staging: Path,
-    progress: Progress,
-) -> float:
-    """Second walk: paint every fragment; return the floor seen in all, in square metres.
-
-    By the frames that are tracked: what a predicted one shows was of no use to place it.
-    """
-    fragments = placed_fragments(estimates)
-    total = sum(estimate.status == "tracked" for estimate in estimates)
-    metres_per_pixel = options.metres_per_pixel or camera.default_metres_per_pixel(
-        inputs.calibration
-    )
-    area, done = 0.0, 0
-    for fragment, members in fragments.items():
-        suffix = "" if fragment == 0 else f"_{fragment}"
-        painter = Painter(inputs.calibration, metres_per_pixel)
-        seen = [estimate for estimate in members if estimate.status == "tracked"]
-        _check_extent(painter, seen)
-        canvas = Canvas(metres_per_pixel)
-        jobs = [(inputs.files[e.index], e.map_from_robot) for e in seen if e.map_from_robot]
-        for patch in ordered(partial(_paint, painter), jobs, options.workers):
-            canvas.paint(patch)
-            done += 1
-            progress("painting", done, total)
-        grid = canvas.extent()
-        if grid is None:
-            continue
-        area += canvas.seen_area()
-        image, mask = canvas.flatten(grid)
-        name = f"mosaic{suffix}.png"
-        rasters.write_georeferenced_png(staging / name, image, mask, grid)
-        rasters.write_nav2_map(
-            staging / f"mosaic{suffix}.yaml", name, grid, inputs.calibration.unit
-        )
-        drawing = draw_trajectory(image, mask, grid, members, inputs.calibration.unit)
-        write_image(staging / f"trajectory{suffix}.png", drawing)
-    return area
-
-
-def _paint(painter: Painter, job: tuple[FrameFile, Pose2]) -> Tile:
-    file, map_from_robot = job
-    return painter.patch(read_frame(file), map_from_robot)
-
-
-def _check_extent(painter: Painter, members: Sequence[PoseEstimate]) -> None:
-    """Refuse a mosaic too large for one PNG before it is painted, and say what would fit."""
-    grid = painter.extent([e.map_from_robot for e in members if e.map_from_robot is not None])
-    if grid.width * grid.height > LARGEST_MOSAIC_PIXELS:
-        fitting = grid.metres_per_pixel * (grid.width * grid.height / LARGEST_MOSAIC_PIXELS) ** 0.5
-        raise InputError(
-            f"the mosaic would have {grid.width}x{grid.height} pixels; "
-            f"use --metres-per-pixel {fitting * 1.05:.2g} or more"
-        )
-
-
-def _write_run(
-    staging: Path,
-    inputs: Inputs,
-    options: StitchOptions,
-    files: TelemetryFiles,
-    mapper: Mapper,
-) -> None:
-    estimates = mapper.estimates
-    sections: dict[str, dict[str, tables.Scalar]] = {
-        "": {
-            "version": __version__,
-            "calibration": str(inputs.calibration_path) if inputs.calibration_path else None,
-            "unit": inputs.calibration.unit,
-            "first_frame": str(inputs.files[0].path),
-            "registration_metres_per_pixel": mapper.metres_per_pixel,
-            "odometry": str(files.odometry) if files.odometry else None,
-            "compass": str(files.compass) if files.compass else None,
-            "gps": str(files.gps) if files.gps else None,
-        }
-    }
-    for section, key, value in tables.flatten(options):
-        sections.setdefault(f"options.{section}".rstrip("."), {})[key] = value
-    sections["counts"] = {
-        "frames": len(estimates),
-        "placed": sum(e.map_from_robot is not None for e in estimates),
-        "predicted": sum(e.status == "predicted" for e in estimates),
-        "lost": sum(e.status == "lost" for e in estimates),
-        "fragments": len(placed_fragments(estimates)),
-        "links": len(mapper.links),
-        "switched_off": len(mapper.switched_off),
-    }
-    for fragment, georeference in mapper.georeferences.items():
-        name = "georeference" if fragment == 0 else f"georeference_{fragment}"
-        sections[name] = exports.georeference_table(georeference)
-    tables.write_toml(staging / "run.toml", sections)
-
-
-def _report(
-    inputs: Inputs,
-    mapper: Mapper,
-    area_square_metres: float,
-    seconds: float,
-    output: Path,
-    time_offset: str,
-) -> StitchReport:
-    """Return the closing table; exit 1 when a sequence of frames yields no map at all."""
-    estimates = mapper.estimates
-    fragments = placed_fragments(estimates)
-    placed = sum(len(members) for members in fragments.values())
-    unit = inputs.calibration.unit
-    length = sum(
-        path_length([e.map_from_robot for e in members if e.map_from_robot is not None])
-        for members in fragments.values()
-    )
-    rows = [
-        ("frames", str(len(estimates))),
-        ("placed", f"{placed} ({placed / len(estimates):.0%})"),
-        ("fragments", str(len(fragments))),
-    ]
-    predicted = sum(e.status == "predicted" for e in estimates)
-    if predicted:
-        rows.append(("predicted", f"{predicted}, carried by odometry"))
-    if mapper.switched_off:
-        rows.append(("links off", f"{len(mapper.switched_off)}, contradicted by the others"))
-    if time_offset:
-        rows.append(("time offset", time_offset))
-    rows += [("on Earth", exports.tell(found)) for found in mapper.georeferences.values()]
-    if mapper.senses.datum_degrees is not None and not mapper.georeferences:
-        rows.append(("on Earth", "not known: the way is too short for what the GPS tells"))
-    rows += [("lost", f"{e.name}: {e.reason}") for e in estimates if e.status == "lost"]
-    rows += [
-        ("path length", f"{length:.3f} {unit}"),
-        ("area", f"{area_square_metres:.3f} {unit}²"),
-        ("time", f"{seconds:.1f} s, {len(estimates) / seconds:.1f} frames/s"),
-        ("written to", str(output)),
-    ]
-    lines = [inputs.note] if inputs.note else []
-    lines += [f"{name:<12} {value}" for name, value in rows]
-    return StitchReport(tuple(lines), 0 if placed else 1)

@@ -125,7 +125,7 @@ def project_floor(
     in_front = depth > 0.0
     undistorted = np.full_like(floor, np.nan)
     undistorted[in_front] = apply_homography(calibration.image_from_robot, floor[in_front])
-    low, high = _undistorted_bounds(calibration)
+    low, high = undistorted_bounds(calibration)
     # Outside the undistorted picture the lens polynomial may fold back into it.
     in_bounds = in_front & np.all((undistorted >= low) & (undistorted <= high), axis=1)
     pixels = np.full_like(floor, np.nan)
@@ -367,7 +367,7 @@ def _outside_undistorted(
     column = np.arange(grid.width, dtype=np.float32)[None, :]
     row = np.arange(grid.height, dtype=np.float32)[:, None]
     x, y, depth = (h[0] * column + h[1] * row + h[2] for h in homography.astype(np.float32))
-    low, high = _undistorted_bounds(calibration).astype(np.float32)
+    low, high = undistorted_bounds(calibration).astype(np.float32)
     inside = (depth > 0) & (x >= low[0] * depth) & (x <= high[0] * depth)
     inside &= (y >= low[1] * depth) & (y <= high[1] * depth)
     outside: NDArray[np.bool_] = ~inside
@@ -426,7 +426,7 @@ def choose_max_range(
     return float(np.hypot(floor[usable, 0], floor[usable, 1]).max())
 
 
-def _undistorted_bounds(calibration: Calibration) -> NDArray[np.float64]:
+def undistorted_bounds(calibration: Calibration) -> NDArray[np.float64]:
     """Return (2, 2): lowest and highest undistorted pixel that the picture's border maps to."""
     outline = undistort_points(calibration, image_outline(calibration.image_size))
     margin = 1.0

@@ -41,8 +41,13 @@ class LocalPlane:
             from pyproj import CRS, Transformer
         except ImportError as error:
             raise InputError("GPS needs pyproj: pip install slamcli[geo]") from error
+        self._datum_degrees = datum_degrees
         plane = CRS.from_proj4(projection(datum_degrees))
         self._plane_from_earth = Transformer.from_crs("EPSG:4326", plane, always_xy=True)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # A run's state holds the datum; pyproj's own objects are made again.
+        return LocalPlane, (self._datum_degrees,)
 
     def east_north(self, latitude_degrees: float, longitude_degrees: float) -> tuple[float, float]:
         """Return metres east and north of the datum."""

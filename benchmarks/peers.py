@@ -1,0 +1,260 @@
+"""Side by side on the same frames: slam stitch, cv2.Stitcher and the `stitching` package.
+
+Run: make bench, or python benchmarks/peers.py [--frames N] [--size WxH] [--floor NAME]
+[--folder FRAMES --calibration YAML] [--json FILE]. The peers cannot make bird's-eye views, so they
+are given them, as PNG by `slam warp`; making those does not count. Each runs in a process of its
+own: wall and processor time and peak memory are the whole process's. Fidelity is measured on the
+floor that the result shows, after the best similarity onto the true floor (SIFT, RANSAC), for the
+peers' maps have no scale: peak signal to noise ratio after one gain, structural similarity
+(Wang et al., IEEE Trans. Image Processing 13(4), 2004), gradient energy as a share of the truth's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slamcli.core.geometry import Grid, Pose2
+from slamcli.io.frames import list_frames
+from slamcli.stages.simulate import floors
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+SLAM = (sys.executable, "-m", "slamcli")
+MOST_SECONDS = 1800
+# Where the simulator's course drives start in the floor's own frame.
+COURSE_START = Pose2(-0.45, -0.45, 0.0)
+TRUTH_METRES_PER_PIXEL = 0.002
+FLOOR_METRES_PER_PIXEL = 0.0005
+VIEW_METRES_PER_PIXEL = 0.002
+
+OPENCV = """
+import sys, cv2
+cv2.ocl.setUseOpenCL(False)
+images = [cv2.imread(name) for name in sys.argv[2:]]
+stitcher = cv2.Stitcher_create(cv2.Stitcher_SCANS)
+status, picture = stitcher.stitch(images)
+print("placed", len(stitcher.component()) if status == 0 else 0, "status", status)
+if status == 0:
+    cv2.imwrite(sys.argv[1], picture)
+"""
+PACKAGE = """
+import sys, cv2
+from stitching import AffineStitcher
+stitcher = AffineStitcher(confidence_threshold=0.3, crop=False)
+picture = stitcher.stitch(sys.argv[2:])
+print("placed", len(stitcher.images.names))
+cv2.imwrite(sys.argv[1], picture)
+"""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one tool made of the frames."""
+
+    tool: str
+    wall_seconds: float
+    processor_seconds: float
+    peak_megabytes: float
+    placed: int
+    frames: int
+    psnr_decibels: float = math.nan
+    ssim: float = math.nan
+    sharpness: float = math.nan
+    remark: str = ""
+
+
+def run(tool: str, command: list[str], frames: int) -> tuple[Outcome, str]:
+    """Run a tool to its end and return what it took, and what it printed."""
+    measured = ["/usr/bin/env", "python3", "-c", _MEASURE, *command]
+    try:
+        done = subprocess.run(measured, capture_output=True, text=True, timeout=MOST_SECONDS)
+    except subprocess.TimeoutExpired:
+        return Outcome(tool, MOST_SECONDS, math.nan, math.nan, 0, frames, remark="timed out"), ""
+    wall, processor, peak, code = done.stdout.strip().splitlines()[-1].split()
+    remark = "" if code == "0" else (done.stderr.strip().splitlines() or [f"exit {code}"])[-1][:70]
+    figures = (float(wall), float(processor), float(peak) / 1e3)
+    return Outcome(tool, *figures, 0, frames, remark=remark), done.stdout
+
+
+_MEASURE = """
+import resource, subprocess, sys, time
+started = time.perf_counter()
+code = subprocess.call(sys.argv[1:])
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+wall = time.perf_counter() - started
+print(wall, used.ru_utime + used.ru_stime, used.ru_maxrss, code)
+"""
+
+
+def slam(frames: Path, calibration: Path, output: Path, count: int) -> Outcome:
+    """Map the camera's own pictures."""
+    command = [*SLAM, "stitch", str(frames), "-c", str(calibration), "-o", str(output)]
+    outcome, _ = run("slam stitch", command, count)
+    rows = list(csv.DictReader((output / "poses.csv").open()))
+    placed = sum(bool(row["x"]) for row in rows)
+    return Outcome(**{**asdict(outcome), "placed": placed})
+
+
+def peer(tool: str, script: str, views: list[Path], output: Path) -> Outcome:
+    """Stitch bird's-eye views by another's code."""
+    command = [sys.executable, "-c", script, str(output), *map(str, views)]
+    outcome, printed = run(tool, command, len(views))
+    found = [line.split() for line in printed.splitlines() if line.startswith("placed")]
+    placed = int(found[-1][1]) if found and output.exists() else 0
+    return Outcome(**{**asdict(outcome), "placed": placed})
+
+
+def true_floor(name: str, drive: Path, seed: int) -> NDArray[np.uint8]:
+    """Return the floor around a simulated drive."""
+    rows = list(csv.DictReader((drive / "truth.csv").open()))
+    start = COURSE_START if name == "course" else Pose2()
+    places = start.apply([(float(row["x"]), float(row["y"])) for row in rows])
+    corners = np.vstack([places.min(axis=0) - 1.5, places.max(axis=0) + 1.5])
+    grid = Grid.covering(corners, TRUTH_METRES_PER_PIXEL)
+    floor = floors.make_floor(name, 0.5, FLOOR_METRES_PER_PIXEL, seed)
+    return floor.region(grid)
+
+
+def fidelity(picture: NDArray[np.uint8], truth: NDArray[np.uint8]) -> tuple[float, float, float]:
+    """Return PSNR (dB), SSIM and sharpness of a map that lies anywhere on the true floor."""
+    gray = cv2.cvtColor(picture[..., :3], cv2.COLOR_BGR2GRAY)
+    floor = cv2.cvtColor(truth, cv2.COLOR_BGR2GRAY)
+    shown = picture[..., 3] > 0 if picture.shape[2] == 4 else gray > 0
+    sift = cv2.SIFT_create(6000)
+    first, described = sift.detectAndCompute(gray, shown.astype(np.uint8) * 255)
+    second, others = sift.detectAndCompute(floor, None)
+    pairs = cv2.BFMatcher().knnMatch(described, others, k=2)
+    good = [a for a, b in pairs if a.distance < 0.8 * b.distance]
+    if len(good) < 8:
+        return math.nan, math.nan, math.nan
+    source = np.array([first[match.queryIdx].pt for match in good])
+    target = np.array([second[match.trainIdx].pt for match in good])
+    cv2.setRNGSeed(0)
+    matrix, _ = cv2.estimateAffinePartial2D(source, target, ransacReprojThreshold=3.0)
+    size = (floor.shape[1], floor.shape[0])
+    moved = cv2.warpAffine(gray, matrix, size, flags=cv2.INTER_AREA).astype(np.float32)
+    seen = cv2.warpAffine(shown.astype(np.uint8), matrix, size, flags=cv2.INTER_NEAREST)
+    inside = cv2.erode(seen, np.ones((9, 9), np.uint8)) > 0
+    true = floor.astype(np.float32)
+    moved *= float((moved[inside] * true[inside]).sum() / (moved[inside] ** 2).sum())
+    error = float(np.mean((moved - true)[inside] ** 2))
+    energies = [
+        float(
+            (cv2.Sobel(one, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(one, cv2.CV_32F, 0, 1) ** 2)[
+                inside
+            ].mean()
+        )
+        for one in (moved, true)
+    ]
+    return (
+        10 * math.log10(255**2 / error),
+        similarity(moved, true, inside),
+        energies[0] / energies[1],
+    )
+
+
+def similarity(a: NDArray[np.float32], b: NDArray[np.float32], inside: NDArray[np.bool_]) -> float:
+    """Return the mean structural similarity of two pictures."""
+
+    def smooth(image: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.asarray(cv2.GaussianBlur(image, (11, 11), 1.5))
+
+    mean_a, mean_b = smooth(a), smooth(b)
+    variance_a, variance_b = smooth(a * a) - mean_a**2, smooth(b * b) - mean_b**2
+    covariance = smooth(a * b) - mean_a * mean_b
+    first, second = (0.01 * 255) ** 2, (0.03 * 255) ** 2
+    index = (2 * mean_a * mean_b + first) * (2 * covariance + second)
+    index /= (mean_a**2 + mean_b**2 + first) * (variance_a + variance_b + second)
+    return float(index[inside].mean())
+
+
+def compare(
+    frames: Path, calibration: Path, work: Path, truth: NDArray[np.uint8] | None
+) -> list[Outcome]:
+    """Run every tool on the same frames."""
+    files = list_frames([frames])
+    views = work / "views"
+    scale = str(VIEW_METRES_PER_PIXEL)
+    warp = [*SLAM, "warp", str(frames), "-c", str(calibration), "-o", str(views)]
+    subprocess.run([*warp, "--metres-per-pixel", scale], check=True, capture_output=True)
+    flat = []
+    for path in sorted(views.glob("*.png")):
+        picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        flat.append(path.with_suffix(".bmp"))
+        cv2.imwrite(str(flat[-1]), picture)
+    outcomes = [slam(frames, calibration, work / "map", len(files))]
+    results = [work / "map" / "mosaic.png"]
+    for tool, script in (("cv2.Stitcher SCANS", OPENCV), ("stitching, affine", PACKAGE)):
+        results.append(work / f"{tool.split()[0].strip(',')}.png")
+        outcomes.append(peer(tool, script, flat, results[-1]))
+    if truth is None:
+        return outcomes
+    measured = []
+    for outcome, result in zip(outcomes, results, strict=True):
+        picture = cv2.imread(str(result), cv2.IMREAD_UNCHANGED) if result.exists() else None
+        values = (math.nan,) * 3 if picture is None else fidelity(picture, truth)
+        names = ("psnr_decibels", "ssim", "sharpness")
+        measured.append(Outcome(**{**asdict(outcome), **dict(zip(names, values, strict=True))}))
+    return measured
+
+
+def table(outcomes: list[Outcome]) -> str:
+    """Return the outcomes as a table in Markdown, wall time in multiples of the first's too."""
+    head = "| tool | wall s | x | CPU s | peak MB | placed | PSNR dB | SSIM | sharpness | |"
+    lines = [head, "|" + "---|" * 10]
+    for one in outcomes:
+        times = one.wall_seconds / outcomes[0].wall_seconds
+        lines.append(
+            f"| {one.tool} | {one.wall_seconds:.1f} | {times:.1f} | {one.processor_seconds:.1f} | "
+            f"{one.peak_megabytes:.0f} | {one.placed}/{one.frames} | {one.psnr_decibels:.1f} | "
+            f"{one.ssim:.3f} | {one.sharpness:.2f} | {one.remark} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument("--size", default="1920x1080")
+    parser.add_argument("--floor", default="asphalt")
+    parser.add_argument("--length", type=float, default=None)
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--calibration", type=Path)
+    parser.add_argument("--json", type=Path)
+    told = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        work = Path(folder)
+        if told.folder is not None:
+            outcomes = compare(told.folder, told.calibration, work, None)
+        else:
+            drive = work / "drive"
+            length = told.length or 0.06 * told.frames
+            options = ["--floor", told.floor, "--frames", str(told.frames), "--size", told.size]
+            command = [*SLAM, "simulate", str(drive), *options, "--length", str(length)]
+            subprocess.run([*command, "--path", "loop"], check=True, capture_output=True)
+            truth = true_floor(told.floor, drive, 0)
+            outcomes = compare(drive / "frames", drive / "camera.yaml", work, truth)
+    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} processors")
+    print(table(outcomes))
+    if told.json:
+        told.json.write_text(json.dumps([asdict(one) for one in outcomes], indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,301 @@
+"""The second walk: placed frames to finished tiles, whatever the map's size."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+from slamcli.core.errors import FrameError, InputError
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import Shot
+from slamcli.graph import placed_fragments
+from slamcli.io.frames import read_frame, read_reduced_gray
+from slamcli.io.tilestore import TileStore
+from slamcli.painter import Painter
+from slamcli.run.executor import ordered
+from slamcli.run.pictures import Pictures
+from slamcli.stages import camera
+from slamcli.stages.mosaic import exposure, tiles
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from slamcli.core.config import ProductOptions
+    from slamcli.core.geometry import Grid
+    from slamcli.core.records import Calibration, PoseEstimate, Tile
+    from slamcli.io.frames import FrameFile
+    from slamcli.run.executor import Progress
+    from slamcli.run.interruption import Interruption
+    from slamcli.stages.mosaic.exposure import Exposure, Shared
+    from slamcli.stages.mosaic.sampling import Picture
+    from slamcli.stages.mosaic.tiles import TileKey
+
+# Arrays of a tile that is being painted, at their most: its views' cells and pixels.
+_TILE_BYTES = 60_000_000
+_STORED_TILE_BYTES = tiles.TILE_PIXELS**2 * 3 + tiles.TILE_PIXELS**2 // 8
+_LAYER_BYTES = {"resolution": 4, "views": 2, "last-frame": 4}
+_LEAST_PICTURES = 4
+# A PNG of more than this would not open in most viewers.
+_LARGEST_PNG_PIXELS = 400_000_000
+_PNG_BYTES_A_PIXEL = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """One connected map's frames, in the axes that it is painted in.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        That the frames have in common.
+    files : tuple of FrameFile
+    shots : tuple of Shot
+        Of the same length.
+    map_from_painted : Pose2
+    """
+
+    calibration: Calibration
+    files: tuple[FrameFile, ...]
+    shots: tuple[Shot, ...]
+    map_from_painted: Pose2
+
+
+def make_scene(
+    calibration: Calibration,
+    files: Sequence[FrameFile],
+    poses: Sequence[Pose2],
+    calibrations: Sequence[Calibration] | None,
+    turn_radians: float,
+) -> Scene:
+    """Return frames with their poses, turned as the map is to be.
+
+    Parameters
+    ----------
+    calibrations : sequence of Calibration or None
+        Of each frame, where they differ.
+    """
+    own = calibrations or [calibration] * len(files)
+    turn = Pose2(0.0, 0.0, turn_radians)
+    shots = tuple(
+        Shot(file.index, turn @ pose if turn_radians else pose, one)
+        for file, pose, one in zip(files, poses, own, strict=True)
+    )
+    return Scene(calibration, tuple(files), shots, turn.inverse())
+
+
+def scenes_of(
+    calibration: Calibration,
+    estimates: Sequence[PoseEstimate],
+    file_of: Callable[[PoseEstimate], FrameFile],
+    turn_radians: float,
+) -> list[tuple[Scene, list[PoseEstimate]]]:
+    """Return what is painted: every fragment, with its frames.
+
+    By the frames that are tracked: what a predicted one shows was of no use to place it.
+    """
+    scenes = []
+    for members in placed_fragments(estimates).values():
+        seen = [estimate for estimate in members if estimate.status == "tracked"]
+        poses = [e.map_from_robot for e in seen if e.map_from_robot is not None]
+        scene = make_scene(calibration, [file_of(e) for e in seen], poses, None, turn_radians)
+        scenes.append((scene, turned(members, scene)))
+    return scenes
+
+
+def turned(estimates: Sequence[PoseEstimate], scene: Scene) -> list[PoseEstimate]:
+    """Return estimates in the axes that the scene is painted in."""
+    painted = scene.map_from_painted.inverse()
+    return [
+        replace(one, map_from_robot=painted @ one.map_from_robot)
+        for one in estimates
+        if one.map_from_robot is not None
+    ]
+
+
+def paint_scene(
+    scene: Scene,
+    options: ProductOptions,
+    folder: Path,
+    workers: int,
+    progress: Progress,
+    tell: Callable[[str], None],
+    interruption: Interruption,
+) -> tuple[TileStore, float]:
+    """Paint a scene's tiles into a folder; those that it already holds are not painted again.
+
+    Returns
+    -------
+    (TileStore, float)
+        And the metres a pixel.
+
+    Raises
+    ------
+    InputError
+        When nothing is to be painted, or a memory limit leaves no room to paint in.
+    OutputError
+    """
+    scale = options.paint.metres_per_pixel or camera.default_metres_per_pixel(scene.calibration)
+    store = TileStore(folder, tiles.TILE_PIXELS, options.layers)
+    light = _light(scene, workers, progress) if options.paint.gain else None
+    paint = replace(options.paint, metres_per_pixel=scale)
+    painter = Painter(scene.calibration, scale, paint, light)
+    plan = [item for item in painter.plan(scene.shots) if _wanted(item[0], scale, options)]
+    if not plan:
+        raise InputError("no frame sees anything of that crop; poses.csv tells where they are")
+    most = _most_pictures(painter, options.memory_bytes, workers)
+    pictures = Pictures(partial(_picture, painter, scene), most)
+    work = partial(_paint, painter, scene, pictures)
+    left = [(key, numbers) for key, numbers in plan if (key.row, key.column) not in store]
+    if left:
+        started = time.perf_counter()
+        first = left.pop(len(left) // 2)
+        for tile in ordered(work, [first], 1):
+            store.put(first[0].row, first[0].column, tile)
+        seconds = (time.perf_counter() - started) * len(left) / workers
+        held = min(most, len(scene.shots))
+        tell(estimate(painter, plan, options, held, seconds, workers))
+    done = len(plan) - len(left)
+    for (key, _), tile in zip(left, ordered(work, left, workers), strict=False):
+        store.put(key.row, key.column, tile)
+        done += 1
+        progress("painting", done, len(plan))
+        if interruption.heeded():
+            break
+    return store, scale
+
+
+def estimate(
+    painter: Painter,
+    plan: Sequence[tuple[TileKey, list[int]]],
+    options: ProductOptions,
+    pictures: int,
+    seconds: float,
+    workers: int,
+) -> str:
+    """Return a line on how large the map will be, and what painting it takes.
+
+    Parameters
+    ----------
+    pictures : int
+        Frames held in memory.
+    seconds : float
+        To paint, as the first tile foretells.
+    """
+    grid = tiles.extent_of([key for key, _ in plan], painter.metres_per_pixel)
+    assert grid is not None
+    layers = sum(_LAYER_BYTES[layer] for layer in options.layers) * tiles.TILE_PIXELS**2
+    disk = len(plan) * (_STORED_TILE_BYTES + layers)
+    memory = pictures * painter.picture_bytes + workers * _TILE_BYTES
+    return (
+        f"up to {grid.width}x{grid.height} pixels of {painter.metres_per_pixel:g} "
+        f"{painter.calibration.unit}, {len(plan)} tiles; about {size_text(disk)} of disk, "
+        f"{size_text(memory)} of memory, {seconds:.0f} s to paint"
+    )
+
+
+def check_png(grid: Grid, options: ProductOptions) -> None:
+    """Refuse a picture too large for one PNG, and say what would hold it."""
+    pixels = grid.width * grid.height
+    most = min(_LARGEST_PNG_PIXELS, options.memory_bytes // _PNG_BYTES_A_PIXEL)
+    if "png" in options.formats and pixels > most:
+        fitting = grid.metres_per_pixel * (pixels / most) ** 0.5
+        raise InputError(
+            f"the mosaic would have {grid.width}x{grid.height} pixels, too many for one PNG; use "
+            f"--format geotiff or deepzoom, or --metres-per-pixel {fitting * 1.05:.2g} or more"
+        )
+
+
+def check_scene(scene: Scene, options: ProductOptions) -> None:
+    """Refuse what cannot be written before anything is painted."""
+    scale = options.paint.metres_per_pixel or camera.default_metres_per_pixel(scene.calibration)
+    painter = Painter(scene.calibration, scale)
+    grid = painter.extent([shot.map_from_robot for shot in scene.shots])
+    if options.crop is not None:
+        grid = cropped(grid, options.crop)
+    check_png(grid, options)
+
+
+def cropped(grid: Grid, crop: tuple[float, float, float, float]) -> Grid:
+    """Return the part of a grid that lies in x_min, y_min, x_max, y_max, on whole pixels of it."""
+    scale = grid.metres_per_pixel
+    left = max(0, round((crop[0] - grid.x_min) / scale))
+    top = max(0, round((grid.y_max - crop[3]) / scale))
+    right = min(grid.width, round((crop[2] - grid.x_min) / scale))
+    bottom = min(grid.height, round((grid.y_max - crop[1]) / scale))
+    if right <= left or bottom <= top:
+        raise InputError(
+            f"nothing of the map lies in that crop: it spans x {grid.x_min:.3f} to "
+            f"{grid.x_max:.3f}, y {grid.y_min:.3f} to {grid.y_max:.3f}"
+        )
+    return grid.window(left, top, right - left, bottom - top)
+
+
+def _light(scene: Scene, workers: int, progress: Progress) -> Exposure:
+    hull = camera.footprint_hull(scene.calibration)
+    step = exposure.comparison_step(scene.calibration)
+    work = partial(_observe, hull, step)
+    observations = []
+    jobs = list(zip(scene.files, scene.shots, strict=True))
+    for done, one in enumerate(ordered(work, jobs, workers), start=1):
+        observations.append(one)
+        progress("comparing light", done, len(jobs))
+    return exposure.solve(observations)
+
+
+def _observe(hull: NDArray[np.float64], step: float, job: tuple[FrameFile, Shot]) -> Shared:
+    file, shot = job
+    try:
+        gray = read_reduced_gray(file)
+    except FrameError:
+        return exposure.nothing_shared()
+    return exposure.observe(gray, shot.calibration, hull, shot.map_from_robot, step)
+
+
+def _wanted(key: TileKey, scale: float, options: ProductOptions) -> bool:
+    if options.crop is None:
+        return True
+    x_min, y_min, x_max, y_max = options.crop
+    grid = tiles.tile_grid(key, scale)
+    return grid.x_min < x_max and grid.x_max > x_min and grid.y_min < y_max and grid.y_max > y_min
+
+
+def _most_pictures(painter: Painter, memory_bytes: int, workers: int) -> int:
+    room = memory_bytes - workers * _TILE_BYTES
+    least = max(_LEAST_PICTURES, 2 * workers)
+    if room < least * painter.picture_bytes:
+        needed = workers * _TILE_BYTES + least * painter.picture_bytes
+        raise InputError(
+            f"--memory {size_text(memory_bytes)} is too little to paint in; "
+            f"give {size_text(needed)} or more, or fewer --workers"
+        )
+    return room // painter.picture_bytes
+
+
+def _picture(painter: Painter, scene: Scene, number: int) -> Picture:
+    try:
+        frame = read_frame(scene.files[number])
+    except FrameError:
+        return painter.blank()
+    return painter.picture(frame, number)
+
+
+def _paint(
+    painter: Painter, scene: Scene, pictures: Pictures, item: tuple[TileKey, list[int]]
+) -> Tile | None:
+    key, numbers = item
+    return painter.paint(key, scene.shots, numbers, pictures)
+
+
+def size_text(count: float) -> str:
+    """Return a number of bytes for the eye."""
+    for unit in ("B", "kB", "MB"):
+        if count < 1000:
+            return f"{count:.3g} {unit}"
+        count /= 1000
+    return f"{count:.3g} GB"

@@ -1,0 +1,83 @@
+"""`slam render`: a finished map painted again, otherwise, without locating a frame anew."""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from typing import TYPE_CHECKING
+
+from slamcli.core.errors import InputError
+from slamcli.io.files import output_folder, remove_folder
+from slamcli.io.frames import list_frames
+from slamcli.io.runs import read_run
+from slamcli.run import products
+from slamcli.run.interruption import interruptible
+from slamcli.run.painting import scenes_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from slamcli.core.config import ProductOptions
+    from slamcli.core.records import PoseEstimate
+    from slamcli.io.frames import FrameFile
+    from slamcli.run.executor import Progress
+
+
+def render(
+    run_folder: Path,
+    frames: Path | None,
+    output: Path,
+    options: ProductOptions,
+    *,
+    workers: int,
+    overwrite: bool,
+    progress: Progress,
+    tell: Callable[[str], None],
+) -> list[str]:
+    """Paint the map of an earlier run into `output`; return what to tell the user.
+
+    Parameters
+    ----------
+    run_folder : Path
+        Output of `slam stitch`.
+    frames : Path or None
+        Where the frames are now; None: where they were.
+
+    Raises
+    ------
+    InputError, OutputError
+    """
+    started = time.monotonic()
+    products.check_formats(options)
+    run = read_run(run_folder)
+    files = list_frames(run.sources if frames is None else [frames])
+    scenes = scenes_of(run.calibration, run.estimates, partial(_file, files), options.turn_radians)
+    with (
+        interruptible() as interruption,
+        output_folder(output, products.PRODUCTS, overwrite=overwrite) as staging,
+    ):
+        area = products.write_maps(
+            scenes, options, staging, staging / "tiles", workers, progress, tell, interruption
+        )
+        remove_folder(staging / "tiles")
+    unit = run.calibration.unit
+    lines = [
+        f"{'frames':<12} {len(run.estimates)}",
+        f"{'area':<12} {area:.3f} {unit}²",
+        f"{'time':<12} {time.monotonic() - started:.1f} s",
+        f"{'written to':<12} {output}",
+    ]
+    if interruption.happened:
+        lines.insert(0, "interrupted: the map holds what had been painted")
+    return lines
+
+
+def _file(files: Sequence[FrameFile], estimate: PoseEstimate) -> FrameFile:
+    """Return a placed frame's file, by its place in the sequence, which its name confirms."""
+    if estimate.index < len(files) and files[estimate.index].name == estimate.name:
+        return files[estimate.index]
+    raise InputError(
+        f"the frames are not those of the map: frame {estimate.index} was {estimate.name}; "
+        "give their folder with --frames"
+    )

@@ -1,0 +1,55 @@
+"""From the painted map to what a planner wants: free, occupied, unknown."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# The alpha of what stands for good in a tile's `standing`; what passed has less.
+STANDS_ALPHA, PASSED_ALPHA = 255, 150
+# The widest stripe that is a line and not a field.
+_WIDEST_LINE_METRES = 0.08
+_LEAST_LINE_CONTRAST_GRAY = 40.0
+
+
+def standing_cells(standing: NDArray[np.uint8], factor: int) -> NDArray[np.bool_]:
+    """Return (h / factor, w / factor): whether anything stands in each cell.
+
+    Parameters
+    ----------
+    standing : (h, w, 4) uint8 BGRA
+        Of a tile.
+    """
+    return _any(standing[..., 3] >= STANDS_ALPHA, factor)
+
+
+def line_cells(
+    image: NDArray[np.uint8], mask: NDArray[np.uint8], metres_per_pixel: float
+) -> NDArray[np.bool_]:
+    """Return (h, w): where a picture shows a painted line, brighter than the floor beside it.
+
+    By the white top-hat (Serra, Image Analysis and Mathematical Morphology, 1982) over the widest
+    line, and Otsu's threshold, at least some contrast.
+    """
+    gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+    side = max(3, round(_WIDEST_LINE_METRES / metres_per_pixel) * 2 + 1)
+    # Unseen is taken as bright, so that the border of what was seen is no line.
+    filled = np.where(mask > 0, gray, np.uint8(255))
+    ground = cv2.morphologyEx(filled, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
+    above = np.where(mask > 0, cv2.subtract(gray, ground), np.uint8(0)).astype(np.uint8)
+    seen = above[mask > 0]
+    if seen.size == 0:
+        return np.zeros(mask.shape, np.bool_)
+    threshold, _ = cv2.threshold(seen[None], 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+    return np.greater(above, max(float(threshold), _LEAST_LINE_CONTRAST_GRAY))
+
+
+def _any(pixels: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
+    height, width = pixels.shape[0] // factor, pixels.shape[1] // factor
+    blocks = pixels[: height * factor, : width * factor].reshape(height, factor, width, factor)
+    return np.asarray(blocks.any(axis=(1, 3)), np.bool_)

@@ -1,0 +1,306 @@
+"""From one camera picture to a piece of the map in one resample, with how well it was seen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slamcli.core.geometry import Grid, apply_homography
+from slamcli.stages import camera
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.core.geometry import Pose2
+    from slamcli.core.records import Calibration
+
+# Towards the border of what a picture shows its weight falls to nothing over this many pixels.
+BORDER_PIXELS = 24
+_DEEPEST_LEVEL = 6
+# A lens bends so smoothly that its effect is exact to a hundredth of a pixel between such points.
+_LATTICE_PIXELS = 8
+_LARGE_PIXELS = 128
+_OUT_OF_SIGHT = -1.0e4
+_LEAST_DEPTH = 1.0e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A frame ready to be painted.
+
+    Attributes
+    ----------
+    levels : tuple of (h, w, 3) uint8
+        The image pyramid; each level has every other pixel of the one before.
+    usable : (H, W) uint8
+        From `border_fade`, 0 where the frame's own mask hides the floor.
+    """
+
+    levels: tuple[NDArray[np.uint8], ...]
+    usable: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """What one view shows of a raster.
+
+    Attributes
+    ----------
+    image : (h, w, 3) uint8
+    weight : (h, w) float32
+        Pixels of the picture to a metre of floor, fading to nothing towards the border of what is
+        usable; 0 where the floor is not seen.
+    sharpness : (h, w) float32
+        The same without the fading; of use only where the weight is not 0.
+    """
+
+    image: NDArray[np.uint8]
+    weight: NDArray[np.float32]
+    sharpness: NDArray[np.float32]
+
+
+def border_fade(sharpness: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return (H, W): 255 well inside the usable part of a picture, 0 outside, fading between.
+
+    Parameters
+    ----------
+    sharpness : (H, W) float32
+        From `camera.sharpness_image`: 0 where no floor is seen.
+    """
+    usable = np.pad(np.where(sharpness > 0, np.uint8(255), np.uint8(0)), 1)
+    distance = np.asarray(cv2.distanceTransform(usable, cv2.DIST_L2, 3))[1:-1, 1:-1]
+    fade = np.minimum(distance * np.float32(255.0 / BORDER_PIXELS), np.float32(255.0))
+    return np.asarray(np.ceil(fade), np.uint8)
+
+
+def make_picture(
+    image: NDArray[np.uint8], usable: NDArray[np.uint8], mask: NDArray[np.uint8] | None, depth: int
+) -> Picture:
+    """Return a frame's pyramid of `depth` + 1 levels, and which of its pixels may be used.
+
+    Parameters
+    ----------
+    image : (H, W, 3) or (H, W) uint8
+    usable : (H, W) uint8
+        From `border_fade`.
+    mask : (H, W) uint8 or None
+        The frame's own; 255 where the picture is opaque.
+    """
+    if image.ndim == 2:
+        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+    levels = [image]
+    for _ in range(depth):
+        levels.append(np.asarray(cv2.pyrDown(levels[-1]), np.uint8))
+    if mask is not None:
+        # What lies between an opaque pixel and another is a mixture.
+        opaque = cv2.erode(mask, np.ones((3, 3), np.uint8))
+        usable = np.where(opaque == 255, usable, np.uint8(0))
+    return Picture(tuple(levels), usable)
+
+
+def pyramid_depth(calibration: Calibration, metres_per_pixel: float) -> int:
+    """Return how many times a picture is halved before it is coarser than such a raster."""
+    sharpest = 1.0 / float(
+        np.sqrt(
+            camera.floor_sampling(calibration, camera.seen_floor(calibration)).prod(axis=1)
+        ).min()
+    )
+    return min(_DEEPEST_LEVEL, int(math.log2(max(1.0, sharpest * metres_per_pixel))))
+
+
+def sample(
+    picture: Picture,
+    calibration: Calibration,
+    map_from_robot: Pose2,
+    grid: Grid,
+    *,
+    smooth: bool = True,
+) -> Sample:
+    """Read a raster in the map from one frame's picture.
+
+    Where the raster is coarser than the picture, it is read from a smaller level of the picture's
+    pyramid, so that floor texture does not alias; a level is chosen never to blur.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The frame's own: its tilt and height may differ from the others'.
+    smooth : bool
+        Interpolate by a bicubic kernel, which keeps more of the texture; else bilinear.
+    """
+    look = _look(picture, calibration, map_from_robot, grid)
+    image = np.zeros((grid.height, grid.width, 3), np.uint8)
+    seen = (look.weight > 0).astype(np.uint8)
+    coarsest, finest, _, _ = cv2.minMaxLoc(look.sharpness, seen)
+    if finest <= 0:
+        return Sample(image, look.weight, look.sharpness)
+    scale = grid.metres_per_pixel * (1 + 1e-6)
+    deepest = len(picture.levels) - 1
+    first, last = (
+        min(deepest, max(0, math.floor(math.log2(value * scale)))) for value in (coarsest, finest)
+    )
+    for number in range(first, last + 1):
+        low = 2.0**number / scale if number > first else 0.0
+        high = 2.0 ** (number + 1) / scale if number < last else math.inf
+        band = np.asarray(cv2.inRange(look.sharpness, low, high), np.uint8)
+        band = np.asarray(cv2.bitwise_and(band, band, mask=seen), np.uint8)
+        left, top, width, height = cv2.boundingRect(band)
+        if width == 0:
+            continue
+        rows, columns = slice(top, top + height), slice(left, left + width)
+        read = _read(picture.levels[number], number, look, rows, columns, smooth=smooth)
+        cv2.copyTo(read, band[rows, columns], image[rows, columns])
+    return Sample(image, look.weight, look.sharpness)
+
+
+def weigh(
+    picture: Picture, calibration: Calibration, map_from_robot: Pose2, grid: Grid
+) -> NDArray[np.float32]:
+    """Return the weight alone of what `sample` would read."""
+    return _look(picture, calibration, map_from_robot, grid).weight
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    """One camera over one raster.
+
+    Attributes
+    ----------
+    image_from_pixel : (3, 3) float64
+        From the raster to the undistorted picture.
+    lens : ((h, w) float32, (h, w) float32) or None
+        Columns and rows in the distorted picture; None without distortion.
+    sharpness, weight : (h, w) float32
+        Pixels a metre, and that with all that is not usable at 0.
+    """
+
+    image_from_pixel: NDArray[np.float64]
+    lens: tuple[NDArray[np.float32], NDArray[np.float32]] | None
+    sharpness: NDArray[np.float32]
+    weight: NDArray[np.float32]
+
+
+def _look(picture: Picture, calibration: Calibration, map_from_robot: Pose2, grid: Grid) -> _Look:
+    robot_from_pixel = map_from_robot.inverse().matrix @ grid.metres_from_pixel
+    homography = calibration.image_from_robot @ robot_from_pixel
+    lens = None
+    if np.any(calibration.distortion):
+        lens = _lens_map(calibration, homography, grid)
+        usable = cv2.remap(picture.usable, *lens, cv2.INTER_LINEAR)
+    else:
+        usable = cv2.warpPerspective(
+            picture.usable,
+            homography,
+            (grid.width, grid.height),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        )
+    sharpness = _sharpness(calibration, robot_from_pixel, grid)
+    scaled = cv2.multiply(usable, sharpness, scale=1.0 / 255.0, dtype=cv2.CV_32F)
+    weight = np.asarray(scaled, np.float32)
+    corners = map_from_robot.inverse().apply(grid.corners)
+    if np.hypot(*corners.T).max() > calibration.max_range_metres:
+        weight[_out_of_range(calibration, robot_from_pixel, grid)] = 0.0
+    return _Look(homography, lens, sharpness, weight)
+
+
+def _out_of_range(
+    calibration: Calibration, robot_from_pixel: NDArray[np.float64], grid: Grid
+) -> NDArray[np.bool_]:
+    """Return (h, w): whether a pixel lies beyond the range.
+
+    The squared distance of R p + t is |p|^2 s^2 + 2 t . R p + |t|^2: a sum of row and column.
+    """
+    offset = robot_from_pixel[:2, 2]
+    column, row = np.arange(grid.width), np.arange(grid.height)
+    scale = grid.metres_per_pixel**2
+    along = scale * column**2 + 2 * float(offset @ robot_from_pixel[:2, 0]) * column
+    down = scale * row**2 + 2 * float(offset @ robot_from_pixel[:2, 1]) * row
+    limit = calibration.max_range_metres**2 - float(offset @ offset)
+    return np.greater(along.astype(np.float32)[None, :], (limit - down).astype(np.float32)[:, None])
+
+
+def _sharpness(
+    calibration: Calibration, robot_from_pixel: NDArray[np.float64], grid: Grid
+) -> NDArray[np.float32]:
+    """Return (h, w) pixels a metre; of no use behind the camera, which no picture shows.
+
+    A plane homography H enlarges areas by det H / w^3, and w is linear over the floor.
+    """
+    from_robot = calibration.image_from_robot
+    row = from_robot[2] @ robot_from_pixel / abs(float(np.linalg.det(from_robot))) ** (1.0 / 3.0)
+    column = (row[0] * np.arange(grid.width)).astype(np.float32)
+    line = (row[1] * np.arange(grid.height) + row[2]).astype(np.float32)
+    depth = column[None, :] + line[:, None]
+    np.maximum(depth, np.float32(_LEAST_DEPTH), out=depth)
+    return np.asarray(cv2.pow(depth, -1.5), np.float32)
+
+
+def _read(
+    level: NDArray[np.uint8],
+    number: int,
+    look: _Look,
+    rows: slice,
+    columns: slice,
+    *,
+    smooth: bool,
+) -> NDArray[np.uint8]:
+    """Read part of a raster from one pyramid level, whose pixel k is 2^number k of the picture."""
+    method = cv2.INTER_CUBIC if smooth else cv2.INTER_LINEAR
+    scale = 0.5**number
+    if look.lens is not None:
+        across, down = (np.float32(scale) * one[rows, columns] for one in look.lens)
+        read = cv2.remap(level, across, down, method, borderMode=cv2.BORDER_REPLICATE)
+    else:
+        shift = np.array([[1.0, 0.0, columns.start], [0.0, 1.0, rows.start], [0.0, 0.0, 1.0]])
+        read = cv2.warpPerspective(
+            level,
+            np.diag([scale, scale, 1.0]) @ look.image_from_pixel @ shift,
+            (columns.stop - columns.start, rows.stop - rows.start),
+            flags=method | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+    return np.asarray(read, np.uint8)
+
+
+def _lens_map(
+    calibration: Calibration, homography: NDArray[np.float64], grid: Grid
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return where each pixel of a raster lies in the camera's own, distorted picture.
+
+    Exact on a lattice, interpolated between its points.
+    """
+    # A power of two: OpenCV interpolates in steps of 1/32.
+    step = _LATTICE_PIXELS if min(grid.width, grid.height) >= _LARGE_PIXELS else 2
+    across, down = -(-grid.width // step) + 1, -(-grid.height // step) + 1
+    columns, rows = np.meshgrid(
+        step * np.arange(across, dtype=np.float64), step * np.arange(down, dtype=np.float64)
+    )
+    pixels = np.column_stack([columns.ravel(), rows.ravel()])
+    undistorted = apply_homography(homography, pixels)
+    depth = pixels @ homography[2, :2] + homography[2, 2]
+    low, high = camera.undistorted_bounds(calibration)
+    # Far outside the picture the lens polynomial folds back into it; near its border it does not.
+    slack = 0.05 * (high - low)
+    outside = (depth <= 0) | ~np.all(
+        (undistorted >= low - slack) & (undistorted <= high + slack), axis=1
+    )
+    undistorted[outside] = low
+    places = camera.distort_points(calibration, undistorted)
+    places[outside] = _OUT_OF_SIGHT
+    lattice = places.reshape(down, across, 2).astype(np.float32)
+    matrix = np.array([[1.0 / step, 0.0, 0.0], [0.0, 1.0 / step, 0.0]])
+    both = np.asarray(
+        cv2.warpAffine(
+            lattice,
+            matrix,
+            (grid.width, grid.height),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REPLICATE,
+        ),
+        np.float32,
+    )
+    return np.ascontiguousarray(both[..., 0]), np.ascontiguousarray(both[..., 1])

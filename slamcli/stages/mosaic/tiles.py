@@ -1,0 +1,100 @@
+"""The endless raster of the map, cut into tiles and those into cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.core.geometry import Grid
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+TILE_PIXELS = 512
+# What is decided about a view (does it show floor, does it win) is decided for a cell at a time.
+CELL_PIXELS = 8
+# Decisions look so far around, so that neighbouring tiles decide alike along their border.
+MARGIN_CELLS = 12
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class TileKey:
+    """Row (downwards) and column (to the right) of a tile; the map's origin is a corner of four."""
+
+    row: int
+    column: int
+
+
+def tile_grid(key: TileKey, metres_per_pixel: float, margin_pixels: int = 0) -> Grid:
+    """Return a tile's raster in the map, with so many pixels more on every side."""
+    side = TILE_PIXELS + 2 * margin_pixels
+    return Grid(
+        (key.column * TILE_PIXELS - margin_pixels) * metres_per_pixel,
+        -(key.row * TILE_PIXELS - margin_pixels) * metres_per_pixel,
+        metres_per_pixel,
+        side,
+        side,
+    )
+
+
+def cell_grid(key: TileKey, metres_per_pixel: float) -> Grid:
+    """Return the raster of a tile's cells, margin included."""
+    scale = metres_per_pixel * CELL_PIXELS
+    count = TILE_PIXELS // CELL_PIXELS
+    return Grid(
+        (key.column * count - MARGIN_CELLS) * scale,
+        -(key.row * count - MARGIN_CELLS) * scale,
+        scale,
+        count + 2 * MARGIN_CELLS,
+        count + 2 * MARGIN_CELLS,
+    )
+
+
+def tiles_under(outline: NDArray[np.float64], metres_per_pixel: float) -> list[TileKey]:
+    """Return the keys of the tiles that a convex outline, (N, 2) metres in the map, may touch.
+
+    By the separating axes of the outline's own edges: a tile wholly outside of one is not touched.
+    """
+    side = TILE_PIXELS * metres_per_pixel
+    low = np.floor(outline.min(axis=0) / side).astype(int)
+    high = np.floor(outline.max(axis=0) / side).astype(int)
+    columns, lines = np.meshgrid(
+        np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1), indexing="xy"
+    )
+    corners = np.stack(
+        [
+            np.stack([(columns + right) * side, (lines + up) * side], axis=-1)
+            for right in (0, 1)
+            for up in (0, 1)
+        ]
+    )
+    edges = np.roll(outline, -1, axis=0) - outline
+    inward = np.column_stack([-edges[:, 1], edges[:, 0]])
+    area = float(np.sum(outline[:, 0] * edges[:, 1] - outline[:, 1] * edges[:, 0]))
+    inward *= 1.0 if area >= 0 else -1.0
+    touched = np.ones(columns.shape, np.bool_)
+    for start, normal in zip(outline, inward, strict=True):
+        touched &= ((corners - start) @ normal).max(axis=0) >= 0
+    return [
+        TileKey(-int(line) - 1, int(column))
+        for column, line in zip(columns[touched], lines[touched], strict=True)
+    ]
+
+
+def extent_of(keys: Iterable[TileKey], metres_per_pixel: float) -> Grid | None:
+    """Return the smallest grid of whole tiles that holds all of some; None for none."""
+    found = list(keys)
+    if not found:
+        return None
+    rows, columns = [key.row for key in found], [key.column for key in found]
+    first = tile_grid(TileKey(min(rows), min(columns)), metres_per_pixel)
+    return first.window(
+        0,
+        0,
+        (max(columns) - min(columns) + 1) * TILE_PIXELS,
+        (max(rows) - min(rows) + 1) * TILE_PIXELS,
+    )

@@ -1,0 +1,393 @@
+"""What is written of a map, read back by the rules of each format and by rasterio."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner, Result
+
+from slamcli.cli import main
+from slamcli.core.geometry import Grid, Pose2, apply_homography
+from slamcli.core.records import Tile
+from slamcli.io import deepzoom, geotiff, rasters
+from slamcli.io.checkpoints import Checkpoint, run_key
+from slamcli.io.tilestore import TileStore
+
+rasterio = pytest.importorskip("rasterio")
+warp = pytest.importorskip("rasterio.warp")
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+EVERYTHING = ("--format", "png,geotiff,deepzoom,nav2", "--layers", "resolution,views,last-frame")
+COARSE = ("--metres-per-pixel", "0.004")
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def drive(samples_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five frames of the sample, with their calibration."""
+    folder = tmp_path_factory.mktemp("drive")
+    for index in range(5):
+        shutil.copy(samples_folder / "course" / "frames" / f"{index:04d}.jpg", folder)
+    square = samples_folder / "course" / "square.png"
+    result = run("calibrate", square, "-o", folder / "calibration.yaml")
+    assert result.exit_code == 0, result.output
+    (folder / "calibration.png").unlink()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def written(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    output = tmp_path_factory.mktemp("out") / "map"
+    datum = ("--datum", "29.6436,-82.3549,30")
+    result = run("stitch", drive, "-o", output, *EVERYTHING, *COARSE, *datum)
+    assert result.exit_code == 0, result.output
+    assert "tiles; about" in result.output
+    assert not any(path.name.startswith(".") for path in output.iterdir())
+    return output
+
+
+def picture(folder: Path, name: str = "mosaic.png") -> np.ndarray:
+    image = cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    return image
+
+
+def test_the_geotiff_is_a_cog_with_the_pngs_pixels_in_its_place(written: Path) -> None:
+    png = picture(written)
+    with rasterio.open(written / "mosaic.tif") as tif:
+        assert tif.profile["tiled"]
+        assert tif.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert tif.count == 4
+        assert tif.colorinterp[3] == rasterio.enums.ColorInterp.alpha
+        np.testing.assert_array_equal(np.moveaxis(tif.read(), 0, -1)[..., [2, 1, 0, 3]], png)
+        world = np.loadtxt(written / "mosaic.pgw")
+        x, y = tif.transform @ (0.5, 0.5)
+        # The map's x axis is 30 degrees north of east.
+        turned = Pose2(0.0, 0.0, np.radians(30.0)).apply([world[4:6]])[0]
+        np.testing.assert_allclose((x, y), turned, atol=1e-6)
+        assert tif.crs.is_projected
+        longitude, latitude = warp.transform(tif.crs, "EPSG:4326", [0.0], [0.0])
+        np.testing.assert_allclose((latitude[0], longitude[0]), (29.6436, -82.3549), atol=1e-9)
+
+
+def test_the_layers_tell_how_each_pixel_was_seen(written: Path) -> None:
+    seen = picture(written)[..., 3] > 0
+    with rasterio.open(written / "resolution.tif") as tif:
+        resolution = tif.read(1)
+    np.testing.assert_array_equal(resolution > 0, seen)
+    assert 0.0004 < resolution[seen].min() < resolution[seen].max() < 0.03
+    micrometres = picture(written, "resolution.png")
+    np.testing.assert_allclose(micrometres, resolution * 1e6, atol=0.51)
+    with rasterio.open(written / "views.tif") as tif:
+        views = tif.read(1)
+    assert views.dtype == np.uint16
+    np.testing.assert_array_equal(picture(written, "views.png"), views)
+    assert views.max() == 5
+    with rasterio.open(written / "last-frame.tif") as tif:
+        assert tif.nodata == -1
+        np.testing.assert_array_equal(tif.read(1) + 1, picture(written, "last-frame.png"))
+        assert tif.read(1).max() == 4
+
+
+def test_the_pyramid_follows_deep_zooms_rules(written: Path) -> None:
+    png = picture(written)
+    root = ET.parse(written / "mosaic.dzi").getroot()
+    space = "{http://schemas.microsoft.com/deepzoom/2009}"
+    assert root.tag == f"{space}Image"
+    side = int(root.attrib["TileSize"])
+    size = root.find(f"{space}Size")
+    assert size is not None
+    width, height = int(size.attrib["Width"]), int(size.attrib["Height"])
+    top = (max(width, height) - 1).bit_length()
+    levels = sorted(int(path.name) for path in (written / "mosaic_files").iterdir())
+    assert levels == list(range(top + 1))
+    assert picture(written, "mosaic_files/0/0_0.png").shape[:2] == (1, 1)
+    whole = np.zeros((height, width, 4), np.uint8)
+    for path in (written / "mosaic_files" / str(top)).iterdir():
+        column, row = map(int, path.stem.split("_"))
+        tile = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        place = whole[row * side :, column * side :]
+        place[: tile.shape[0], : tile.shape[1]] = tile
+    rows, columns = np.nonzero(whole[..., 3])
+    cut = whole[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    np.testing.assert_array_equal(cut, png)
+
+
+def test_a_pyramid_of_odd_size_ends_in_one_pixel(tmp_path: Path) -> None:
+    tile = np.full((8, 8, 4), 255, np.uint8)
+    deepzoom.write_deep_zoom(tmp_path, "m", (37, 21), 8, [(0, 0, tile), (2, 4, tile)])
+    shapes = {
+        path.name: cv2.imread(str(path), cv2.IMREAD_UNCHANGED).shape[:2]
+        for path in (tmp_path / "m_files" / "6").iterdir()
+    }
+    assert shapes == {"0_0.png": (8, 8), "4_2.png": (5, 5)}
+    assert cv2.imread(str(tmp_path / "m_files/0/0_0.png"), -1).shape == (1, 1, 4)
+
+
+def load_nav2(folder: Path) -> tuple[np.ndarray, Grid]:
+    """Read a map as Nav2's map_server does (trinary): -1 unknown, 0 free, 100 occupied."""
+    told = yaml.safe_load((folder / "nav2.yaml").read_text())
+    data = (folder / told["image"]).read_bytes()
+    magic, size, depth, pixels = data.split(b"\n", 3)
+    width, height = map(int, size.split())
+    assert (magic, depth, len(pixels)) == (b"P5", b"255", width * height)
+    gray = np.frombuffer(pixels, np.uint8).reshape(height, width)
+    occupancy = (255 - gray.astype(float)) / 255
+    cells = np.full(gray.shape, -1)
+    cells[occupancy < told["free_thresh"]] = 0
+    cells[occupancy > told["occupied_thresh"]] = 100
+    x, y, yaw = told["origin"]
+    assert yaw == 0
+    scale = told["resolution"]
+    return cells, Grid(x, y + height * scale, scale, width, height)
+
+
+def test_the_nav2_map_is_free_where_floor_was_seen_and_unknown_elsewhere(written: Path) -> None:
+    cells, grid = load_nav2(written)
+    assert grid.metres_per_pixel == pytest.approx(0.008)
+    png, world = picture(written), np.loadtxt(written / "mosaic.pgw")
+    rows, columns = np.nonzero(cells == 0)
+    metres = apply_homography(grid.metres_from_pixel, np.column_stack([columns, rows]))
+    pixels = np.rint((metres - world[4:6]) / (world[0], world[3])).astype(int)
+    inside = np.all((pixels >= 0) & (pixels < png.shape[1::-1]), axis=1)
+    seen = png[pixels[inside, 1], pixels[inside, 0], 3] > 0
+    assert seen.mean() > 0.97
+    assert (cells == 0).sum() * 4 == pytest.approx((png[..., 3] > 0).sum(), rel=0.05)
+    assert (cells == -1).any()
+
+
+def test_render_paints_the_same_map_and_others_without_locating(
+    written: Path, drive: Path, tmp_path: Path
+) -> None:
+    moved = tmp_path / "moved"
+    shutil.copytree(drive, moved)
+    again = tmp_path / "again"
+    result = run("render", written, "--frames", moved, "-o", again, *COARSE)
+    assert result.exit_code == 0, result.output
+    before, after = picture(written).astype(int), picture(again).astype(int)
+    assert np.abs(before - after).mean() < 0.05
+    part = tmp_path / "part"
+    arguments = (
+        "--rotate",
+        "90",
+        "--crop",
+        "-0.3,0.4,0.3,0.8",
+        "--nav-lines",
+        "--format",
+        "png,nav2",
+    )
+    result = run("render", written / "mosaic.png", "-o", part, *COARSE, *arguments)
+    assert result.exit_code == 0, result.output
+    cropped = picture(part)
+    assert cropped.shape[:2] == (100, 150)
+    world = np.loadtxt(part / "mosaic.pgw").reshape(3, 2).T
+    place = world @ (75, 50, 1)
+    whole = np.loadtxt(written / "mosaic.pgw")
+    column, row = np.rint((place - whole[4:6]) / (whole[0], whole[3])).astype(int)
+    np.testing.assert_allclose(
+        cropped[45:56, 70:81, :3].mean(),
+        before[row - 5 : row + 6, column - 5 : column + 6, :3].mean(),
+        atol=6,
+    )
+    assert yaml.safe_load((part / "nav2.yaml").read_text())["origin"][2] == pytest.approx(
+        -np.pi / 2
+    )
+
+
+def test_render_says_what_is_missing(written: Path, tmp_path: Path, drive: Path) -> None:
+    result = run("render", tmp_path, "-o", tmp_path / "out")
+    assert result.exit_code == 1
+    assert "run.toml" in result.output
+    fewer = tmp_path / "fewer"
+    fewer.mkdir()
+    shutil.copy(drive / "0003.jpg", fewer)
+    result = run("render", written, "--frames", fewer, "-o", tmp_path / "out")
+    assert result.exit_code == 1
+    assert "--frames" in result.output
+    result = run("render", written, "--crop", "90,90,91,91", "-o", tmp_path / "out")
+    assert result.exit_code == 1
+    assert "crop" in result.output
+
+
+def test_too_little_memory_and_too_large_a_png_are_refused(written: Path, tmp_path: Path) -> None:
+    result = run("render", written, "-o", tmp_path / "out", "--memory", "20M")
+    assert result.exit_code == 1
+    assert "--memory" in result.output.splitlines()[-1]
+    result = run("render", written, "-o", tmp_path / "out", "--metres-per-pixel", "0.00005")
+    assert result.exit_code == 1
+    assert "--format geotiff" in result.output.splitlines()[-1]
+    assert run("render", written, "--memory", "much").exit_code == 2
+    assert run("stitch", "x", "--datum", "1,x").exit_code == 2
+
+
+def test_a_missing_library_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    result = run("stitch", Path(__file__).parent, "--format", "geotiff")
+    assert result.exit_code == 1
+    with pytest.raises(Exception, match=r"slamcli\[geotiff\]"):
+        geotiff.check_geotiff()
+
+
+def command(drive: Path, output: Path, *more: str) -> list[str]:
+    return [
+        sys.executable,
+        "-m",
+        "slamcli",
+        "stitch",
+        str(drive),
+        "-o",
+        str(output),
+        *COARSE,
+        *more,
+    ]
+
+
+@pytest.mark.parametrize("stage", ["locating 3/5", "painting 2/"])
+def test_a_killed_run_goes_on_to_the_same_bytes(drive: Path, tmp_path: Path, stage: str) -> None:
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    assert run("stitch", drive, "-o", whole, *COARSE).exit_code == 0
+    process = subprocess.Popen(command(drive, cut), stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.startswith(stage):
+            break
+    process.kill()
+    process.wait()
+    process.stderr.close()
+    assert not (cut / "poses.csv").exists()
+    result = run("stitch", drive, "-o", cut, "--resume", *COARSE)
+    assert result.exit_code == 0, result.output
+    if stage.startswith("painting"):
+        assert "5 of 5 frames had been located" in result.output
+        assert "locating" not in result.output
+    names = sorted(path.name for path in whole.iterdir())
+    assert names == sorted(path.name for path in cut.iterdir())
+    for name in names:
+        assert (whole / name).read_bytes() == (cut / name).read_bytes(), name
+
+
+def test_ctrl_c_ends_with_what_is_there_and_can_be_gone_on_with(
+    drive: Path, tmp_path: Path
+) -> None:
+    cut = tmp_path / "cut"
+    with subprocess.Popen(
+        command(drive, cut), stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stderr is not None
+        assert process.stdout is not None
+        for line in process.stderr:
+            if line.startswith("locating 2/5"):
+                os.kill(process.pid, signal.SIGINT)
+                break
+        process.stderr.read()
+        told = process.stdout.read()
+    assert process.returncode == 130
+    assert "interrupted" in told
+    rows = (cut / "poses.csv").read_text().splitlines()
+    assert len(rows) == 6
+    assert "not reached: interrupted" in rows[-1]
+    assert picture(cut)[..., 3].any()
+    result = run("stitch", drive, "-o", cut, "--resume", *COARSE)
+    assert result.exit_code == 0, result.output
+    assert "placed       5 (100%)" in result.output
+    assert not (cut / ".resume").exists()
+
+
+def test_a_state_of_another_run_is_not_gone_on_with(tmp_path: Path) -> None:
+    first = run_key("a", [tmp_path])
+    checkpoint = Checkpoint(tmp_path)
+    checkpoint.open(first, resume=False)
+    checkpoint.save({"frames": 3})
+    assert Checkpoint(tmp_path).open(first, resume=True)
+    checkpoint = Checkpoint(tmp_path)
+    assert checkpoint.open(first, resume=True)
+    assert checkpoint.load() == {"frames": 3}
+    assert not Checkpoint(tmp_path).open(run_key("b", [tmp_path]), resume=True)
+    assert not checkpoint.folder.exists()
+
+
+def test_a_state_cannot_bring_foreign_code(tmp_path: Path) -> None:
+    checkpoint = Checkpoint(tmp_path)
+    checkpoint.open("key", resume=False)
+    checkpoint.save(time.sleep)
+    assert checkpoint.load() is None
+
+
+def test_a_store_takes_only_what_was_seen_and_finds_it_again(tmp_path: Path) -> None:
+    side, scale = 512, 0.01
+    image = np.random.default_rng(0).integers(0, 255, (side, side, 3), dtype=np.uint8)
+    sharpness = np.zeros((side, side), np.float32)
+    sharpness[10:60, 20:90] = 100.0
+    views, latest = np.ones((side, side), np.uint16), np.zeros((side, side), np.int32)
+    grid = Grid(0.0, 0.0, scale, side, side)
+    store = TileStore(tmp_path, side, ("views",))
+    store.put(0, 0, Tile(grid, image, sharpness, None, views, latest))
+    store.put(-3, 200000, Tile(grid, image, sharpness, None, views, latest))
+    store.put(5, 5, None)
+    again = TileStore(tmp_path, side, ("views",))
+    assert again.places() == [(-3, 200000), (0, 0)]
+    assert (5, 5) in again
+    assert again.seen_pixels() == 2 * 50 * 70
+    assert again.bounds() == (10 - 3 * side, 60, 20, 200000 * side + 90)
+    part, mask = again.flatten(Grid(0.0, 0.0, scale, 100, 70))
+    np.testing.assert_array_equal(part, image[:70, :100])
+    assert mask.sum() == 255 * 50 * 70
+
+
+def test_a_turned_world_file_maps_pixels_into_the_map(tmp_path: Path) -> None:
+    grid, turn = Grid(1.0, 2.0, 0.5, 4, 4), Pose2(0.0, 0.0, np.pi / 2)
+    rasters.write_world_file(tmp_path / "m.pgw", grid, turn)
+    a, d, b, e, c, f = np.loadtxt(tmp_path / "m.pgw")
+    np.testing.assert_allclose((a * 2 + b * 1 + c, d * 2 + e * 1 + f), (-1.25, 2.25), atol=1e-9)
+
+
+def test_a_dry_run_finds_what_is_wrong_and_writes_nothing(drive: Path, tmp_path: Path) -> None:
+    frames = tmp_path / "frames"
+    shutil.copytree(drive, frames)
+    good = cv2.imread(str(frames / "0003.jpg"))
+    cv2.imwrite(str(frames / "1446412345.jpg"), cv2.blur(good, (25, 25)))
+    cv2.imwrite(str(frames / "1446412346.jpg"), good // 12)
+    shutil.copy(frames / "0004.jpg", frames / "1446412346.5.jpg")
+    shutil.copy(frames / "0004.jpg", frames / "1446412346.6.jpg")
+    (frames / "1446412347.jpg").write_bytes(b"")
+    cv2.imwrite(str(frames / "1446412348.png"), np.full_like(good, 255))
+    output = tmp_path / "out"
+    result = run("stitch", frames, "-o", output, "--dry-run")
+    assert result.exit_code == 0, result.output
+    lines = [line for line in result.output.splitlines() if line.startswith("problem")]
+    for kind, name in (
+        ("blurred", "1446412345.jpg"),
+        ("too dark", "1446412346.jpg"),
+        ("same picture", "1446412346.6.jpg"),
+        ("empty", "1446412347.jpg"),
+        ("overexposed", "1446412348.png"),
+    ):
+        assert any(kind in line and name in line for line in lines), (kind, lines)
+    assert not any("0001.jpg" in line for line in lines)
+    assert "overlap" in result.output
+    assert "Mpx" in result.output
+    assert not output.exists()
+    backwards = run(
+        "stitch",
+        frames / "1446412346.5.jpg",
+        drive / "0002.jpg",
+        "--dry-run",
+        "-c",
+        drive / "calibration.yaml",
+        "--frame-rate",
+        "10",
+    )
+    assert "stamp not after" in backwards.output
