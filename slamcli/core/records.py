@@ -345,6 +345,21 @@ class Link:
     kind: LinkKind
 
 
+@dataclass(frozen=True, slots=True)
+class Rocking:
+    """By how much the camera of one frame stood differently from the calibration.
+
+    Attributes
+    ----------
+    pitch_radians, roll_radians : float
+    height_metres : float
+    """
+
+    pitch_radians: float = 0.0
+    roll_radians: float = 0.0
+    height_metres: float = 0.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEstimate:
     """Where the robot was for one frame, or why that is not known.
@@ -367,6 +382,8 @@ class PoseEstimate:
         Of the best link that placed the frame; nan without one.
     revised : tuple of int
         Frames whose earlier estimates this update changed.
+    rocking : Rocking
+        How its camera stood; as calibrated unless that was estimated.
     """
 
     index: int
@@ -380,6 +397,7 @@ class PoseEstimate:
     inliers: int = 0
     score: float = float("nan")
     revised: tuple[int, ...] = field(default=())
+    rocking: Rocking = Rocking()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
