@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slamcli.core.geometry import Grid
+from slamcli.core.mounting import rocked
 from slamcli.core.records import Tile
 from slamcli.stages import camera, mosaic, view
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamcli.core.geometry import Pose2
-    from slamcli.core.records import Calibration, Frame
+    from slamcli.core.records import Calibration, Frame, Rocking
 
 
 class Painter:
@@ -38,12 +39,11 @@ class Painter:
         points = np.vstack([pose.apply(self._hull) for pose in poses])
         return Grid.covering(points, self.metres_per_pixel)
 
-    def patch(self, frame: Frame, map_from_robot: Pose2) -> Tile:
+    def patch(self, frame: Frame, map_from_robot: Pose2, rocking: Rocking | None = None) -> Tile:
         """Return what a frame saw, in the map, one resample away from the camera's picture."""
         grid = self.extent([map_from_robot])
-        resampler = view.make_resampler(
-            self.calibration, self._weight, grid, map_from_robot.inverse()
-        )
+        calibration = rocked(self.calibration, rocking) if rocking else self.calibration
+        resampler = view.make_resampler(calibration, self._weight, grid, map_from_robot.inverse())
         seen = view.make_view(frame, resampler, gray=False)
         weight = np.where(seen.mask > 0, resampler.sharpness, np.float32(0.0))
         return Tile(grid, view.to_colour(seen.image), weight)

@@ -382,8 +382,8 @@ class PoseEstimate:
         Of the best link that placed the frame; nan without one.
     revised : tuple of int
         Frames whose earlier estimates this update changed.
-    rocking : Rocking
-        How its camera stood; as calibrated unless that was estimated.
+    rocking : Rocking or None
+        How its camera stood; None for as calibrated.
     """
 
     index: int
@@ -397,7 +397,7 @@ class PoseEstimate:
     inliers: int = 0
     score: float = float("nan")
     revised: tuple[int, ...] = field(default=())
-    rocking: Rocking = Rocking()
+    rocking: Rocking | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

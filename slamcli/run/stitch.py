@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from slamcli import __version__
-from slamcli.core.errors import FrameError, InputError
+from slamcli.core.errors import InputError
 from slamcli.core.geometry import apply_homography, invert, path_length
-from slamcli.core.records import Prepared
 from slamcli.io import rasters, tables
+from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import output_folder, write_image
 from slamcli.io.frames import read_frame
 from slamcli.io.poses import write_poses
 from slamcli.mapper import Mapper, placed_fragments
 from slamcli.painter import Painter
+from slamcli.refine import Registration
 from slamcli.run import exports
 from slamcli.run.executor import ordered
 from slamcli.run.inputs import open_inputs
+from slamcli.run.refinement import describe, read_and_prepare, run_section, self_calibrate
 from slamcli.stages import camera, view
 from slamcli.stages.draw.matches import draw_matches
 from slamcli.stages.draw.trajectory import draw_trajectory
@@ -34,9 +36,9 @@ if TYPE_CHECKING:
 
     from slamcli.comparison import Trial
     from slamcli.core.config import MapperOptions
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import PoseEstimate, Tile
+    from slamcli.core.records import PoseEstimate, Prepared, Tile
     from slamcli.io.frames import FrameFile
+    from slamcli.refine import Refinement
     from slamcli.run.executor import Progress
     from slamcli.run.inputs import Inputs
 
@@ -47,6 +49,7 @@ PRODUCTS = (
     "poses.csv",
     "trajectory*.png",
     "run.toml",
+    "calibration.yaml",
     *exports.PRODUCTS,
 )
 DEBUG_PRODUCTS = "matches"
@@ -69,6 +72,8 @@ class StitchOptions:
         Frames per second, for stamps.
     debug : bool
         Also draw every frame's matches.
+    self_calibrate : bool
+        Refine the camera by the frames themselves, where they determine it.
     export : tuple of str
         What else to write; see `slamcli.run.exports`.
     workers : int
@@ -80,6 +85,7 @@ class StitchOptions:
     max_range_metres: float | None = None
     frame_rate: float | None = None
     debug: bool = False
+    self_calibrate: bool = False
     export: tuple[str, ...] = ()
     workers: int = 1
 
@@ -113,12 +119,19 @@ def stitch(
     with output_folder(output, (*PRODUCTS, DEBUG_PRODUCTS), overwrite=overwrite) as staging:
         mapper = Mapper(inputs.calibration, options.mapper)
         estimates = _locate(mapper, inputs, options, staging, progress)
-        area = _write_maps(inputs, estimates, options, staging, progress)
-        write_poses(staging / "poses.csv", estimates)
+        found = Registration(inputs.calibration, estimates, mapper.links)
+        refined = None
+        if options.self_calibrate:
+            refined = self_calibrate(inputs, found, options.mapper, options.workers, progress)
+            found = refined.registration
+            inputs = replace(inputs, calibration=found.calibration)
+            save_calibration(staging / "calibration.yaml", found.calibration)
+        area = _write_maps(inputs, found.estimates, options, staging, progress)
+        write_poses(staging / "poses.csv", found.estimates)
         seconds = time.monotonic() - started
-        exports.write_exports(staging, options.export, estimates, mapper.links)
-        _write_run(staging, inputs, options, estimates, mapper)
-    return _report(inputs, estimates, area, seconds, output)
+        exports.write_exports(staging, options.export, found.estimates, found.links)
+        _write_run(staging, inputs, options, found, mapper.metres_per_pixel, refined)
+    return _report(inputs, found.estimates, area, seconds, output, refined)
 
 
 def _locate(
@@ -126,7 +139,7 @@ def _locate(
 ) -> list[PoseEstimate]:
     """First walk: every frame to its pose or its reason."""
     total = len(inputs.files)
-    work = partial(_read_and_prepare, mapper)
+    work = partial(read_and_prepare, mapper)
     for done, prepared in enumerate(ordered(work, inputs.files, options.workers), start=1):
         mapper.step(prepared)
         if options.debug:
@@ -178,13 +191,6 @@ def _drawable(
     return view.to_colour(prepared.view.image), points, pixel_from_metres
 
 
-def _read_and_prepare(mapper: Mapper, file: FrameFile) -> Prepared:
-    try:
-        return mapper.prepare(read_frame(file))
-    except FrameError as error:
-        return Prepared(file.index, file.name, file.stamp, None, None, str(error))
-
-
 def _write_maps(
     inputs: Inputs,
     estimates: Sequence[PoseEstimate],
@@ -204,7 +210,7 @@ def _write_maps(
         painter = Painter(inputs.calibration, metres_per_pixel)
         _check_extent(painter, members)
         canvas = Canvas(metres_per_pixel)
-        jobs = [(inputs.files[e.index], e.map_from_robot) for e in members if e.map_from_robot]
+        jobs = [(inputs.files[member.index], member) for member in members]
         for patch in ordered(partial(_paint, painter), jobs, options.workers):
             canvas.paint(patch)
             done += 1
@@ -224,9 +230,10 @@ def _write_maps(
     return area
 
 
-def _paint(painter: Painter, job: tuple[FrameFile, Pose2]) -> Tile:
-    file, map_from_robot = job
-    return painter.patch(read_frame(file), map_from_robot)
+def _paint(painter: Painter, job: tuple[FrameFile, PoseEstimate]) -> Tile:
+    file, estimate = job
+    assert estimate.map_from_robot is not None
+    return painter.patch(read_frame(file), estimate.map_from_robot, estimate.rocking)
 
 
 def _check_extent(painter: Painter, members: Sequence[PoseEstimate]) -> None:
@@ -244,16 +251,18 @@ def _write_run(
     staging: Path,
     inputs: Inputs,
     options: StitchOptions,
-    estimates: Sequence[PoseEstimate],
-    mapper: Mapper,
+    found: Registration,
+    view_metres_per_pixel: float,
+    refined: Refinement | None,
 ) -> None:
+    estimates = found.estimates
     sections: dict[str, dict[str, tables.Scalar]] = {
         "": {
             "version": __version__,
             "calibration": str(inputs.calibration_path) if inputs.calibration_path else None,
             "unit": inputs.calibration.unit,
             "first_frame": str(inputs.files[0].path),
-            "registration_metres_per_pixel": mapper.metres_per_pixel,
+            "registration_metres_per_pixel": view_metres_per_pixel,
         }
     }
     for section, key, value in tables.flatten(options):
@@ -263,8 +272,10 @@ def _write_run(
         "placed": sum(e.map_from_robot is not None for e in estimates),
         "lost": sum(e.status == "lost" for e in estimates),
         "fragments": len(placed_fragments(estimates)),
-        "links": len(mapper.links),
+        "links": len(found.links),
     }
+    if refined is not None:
+        sections["self_calibration"] = run_section(refined)
     tables.write_toml(staging / "run.toml", sections)
 
 
@@ -274,6 +285,7 @@ def _report(
     area_square_metres: float,
     seconds: float,
     output: Path,
+    refined: Refinement | None,
 ) -> StitchReport:
     """Return the closing table; exit 1 when a sequence of frames yields no map at all."""
     fragments = placed_fragments(estimates)
@@ -296,5 +308,6 @@ def _report(
         ("written to", str(output)),
     ]
     lines = [inputs.note] if inputs.note else []
+    lines += [] if refined is None else describe(refined)
     lines += [f"{name:<12} {value}" for name, value in rows]
     return StitchReport(tuple(lines), 0 if placed else 1)

@@ -5,6 +5,7 @@ explain them, `projection` carries pixels from frame to frame for both.
 """
 
 from slamcli.stages.adjustment.patches import (
+    DEEPEST_LEVEL,
     Matches,
     Pyramid,
     choose_points,
@@ -20,6 +21,7 @@ from slamcli.stages.adjustment.solver import (
 )
 
 __all__ = [
+    "DEEPEST_LEVEL",
     "FIRST_ROCKING",
     "Adjustment",
     "Matches",

@@ -1,9 +1,9 @@
 """The same spots of the floor in two pictures, found to hundredths of a pixel.
 
-Small windows of one picture are looked for in the other near where the motion between them foretells
-it: an inverse-compositional Lucas-Kanade alignment (Baker and Matthews, IJCV 56, 2004) of a shift, on
-windows of zero mean and equal contrast, from coarse to fine. What a window shows tells in which
-direction its shift is known: along a plain line it is not, and the covariance says so.
+Small windows of one picture are looked for in the other near where the motion between them
+foretells it: an inverse-compositional Lucas-Kanade alignment (Baker and Matthews, IJCV 56, 2004) of
+a shift, on windows of zero mean and equal contrast, from coarse to fine. What a window shows tells
+in which direction its shift is known: along a plain line it is not, and the whitening says so.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 DEEPEST_LEVEL = 3
 _HALF_PIXELS = 7
-_MOST_ITERATIONS = 12
-_CONVERGED_PIXELS = 0.005
+_MOST_ITERATIONS = 10
+_CONVERGED_PIXELS = 0.01
 # Weaker gradients, in gray levels a pixel, are the camera's noise.
 _LEAST_GRADIENT_GRAY = 1.5
 # Corners tell both directions; a line's one is worth this share of it.
@@ -117,7 +117,7 @@ def choose_points(pyramid: Pyramid, seen: NDArray[np.uint8], count: int) -> NDAr
     found = flat[np.arange(len(flat)), best] > 0.0
     row, column = np.divmod(np.arange(len(flat)), columns)
     points = np.column_stack([column * cell + best % cell, row * cell + best // cell])
-    return points[found].astype(np.float64)
+    return np.asarray(points[found], np.float64)
 
 
 def track(
@@ -173,23 +173,23 @@ class _Windows:
     Attributes
     ----------
     level : int
-    values : (N, W) float64
+    values : (N, W) float32
         Of the first picture, zero mean.
-    gradients : (N, W, 2) float64
+    gradients : (N, W, 2) float32
         Per pixel of the level.
-    inside : (N, W) float64
+    inside : (N, W) float32
         1 where the first picture shows usable floor.
     coefficients : (N, 6, 2) float64
         Where the second is read, in its full-size pixels, as a quadratic in the shift from the
         window's middle, full-size pixels of the first.
-    readings : tuple of (rows of N, level's image, its mask, its number)
+    readings : tuple of _Reading
     good : (N,) bool
     """
 
     level: int
-    values: NDArray[np.float64]
-    gradients: NDArray[np.float64]
-    inside: NDArray[np.float64]
+    values: NDArray[np.float32]
+    gradients: NDArray[np.float32]
+    inside: NDArray[np.float32]
     coefficients: NDArray[np.float64]
     readings: tuple[_Reading, ...]
     good: NDArray[np.bool_]
@@ -197,12 +197,28 @@ class _Windows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reading:
-    """Which windows are read from which level of the second picture."""
+    """Windows that are read from one level of the second picture.
+
+    Attributes
+    ----------
+    chosen : (M,) int
+        Which.
+    image : (h, w) float32
+    mask : (h, w) uint8
+    places : (M, W, 2) float32
+        Pixels of that level, without a shift.
+    by_shift : (M, W, 2, 2) float32
+        How they move with it; what it adds to that is in `coefficients`.
+    scale : float
+        Pixels of the level to one of the full-size picture.
+    """
 
     chosen: NDArray[np.int64]
     image: NDArray[np.float32]
     mask: NDArray[np.uint8]
-    level: int
+    places: NDArray[np.float32]
+    by_shift: NDArray[np.float32]
+    scale: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,7 +246,7 @@ def _cut(
     right, down = _slopes(image)
     values = _sample(image, places)
     gradients = np.stack([_sample(right, places), _sample(down, places)], axis=2)
-    inside = (_sample(first.masks[level], places) > 254.5).astype(np.float64)
+    inside = (_sample(first.masks[level], places) > 254.5).astype(np.float32)
     weight = np.maximum(inside.sum(axis=1, keepdims=True), 1.0)
     values = (values - (values * inside).sum(axis=1, keepdims=True) / weight) * inside
     mean = (gradients * inside[:, :, None]).sum(axis=1, keepdims=True) / weight[:, :, None]
@@ -238,22 +254,51 @@ def _cut(
     coefficients = _fit_warp(points, second_from_first, _HALF_PIXELS * size)
     known = np.isfinite(coefficients).all(axis=(1, 2))
     scale = np.ones(len(points))
-    slope = _slope_of_warp(np.where(known[:, None, None], coefficients, 0.0), np.zeros_like(points))
-    scale[known] = np.sqrt(np.abs(np.linalg.det(slope[known])))
+    slope = _slope_of_warp(coefficients[known], np.zeros((int(known.sum()), 2)))
+    scale[known] = np.sqrt(np.abs(np.linalg.det(slope)))
     finer = np.floor(np.log2(np.maximum(scale * _FINER, 1.0))).astype(np.int64)
     read = np.minimum(level + finer, len(second.images) - 1)
-    readings = []
-    for number in np.unique(read[known]):
-        chosen = np.flatnonzero(known & (read == number))
-        readings.append(
-            _Reading(chosen, second.images[number], second.masks[number], int(number))
-        )
+    readings = tuple(
+        _reading(second, int(number), np.flatnonzero(known & (read == number)), coefficients, size)
+        for number in np.unique(read[known])
+    )
     good = known & (inside.mean(axis=1) >= _LEAST_SHARE_SEEN)
-    return _Windows(level, values, gradients, inside, coefficients, tuple(readings), good)
+    return _Windows(level, values, gradients, inside, coefficients, readings, good)
+
+
+def _reading(
+    second: Pyramid,
+    level: int,
+    chosen: NDArray[np.int64],
+    coefficients: NDArray[np.float64],
+    size: float,
+) -> _Reading:
+    scale = 2.0**-level
+    around = _offsets() * size
+    x, y = around.T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    bases = np.stack(
+        [
+            _basis(around),
+            np.stack([zero, one, zero, 2.0 * x, y, zero], axis=1),
+            np.stack([zero, zero, one, zero, x, 2.0 * y], axis=1),
+        ]
+    )
+    places, by_x, by_y = (
+        (scale * (basis @ coefficients[chosen])).astype(np.float32) for basis in bases
+    )
+    return _Reading(
+        chosen,
+        second.images[level],
+        second.masks[level],
+        places,
+        np.stack([by_x, by_y], axis=3),
+        scale,
+    )
 
 
 def _align(windows: _Windows, start: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (N, 2) shifts, full-size pixels of the first picture; the start where none is found."""
+    """Return (N, 2) shifts, full-size pixels of the first; the start where none is found."""
     size = 2.0**windows.level
     shift = start.copy()
     information = np.einsum("nwi,nwj->nij", windows.gradients, windows.gradients)
@@ -278,17 +323,20 @@ def _align(windows: _Windows, start: NDArray[np.float64]) -> NDArray[np.float64]
 
 def _residual(
     windows: _Windows, shift: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Return second minus first (N, W), of equal contrast; the correlation (N,); the weight."""
-    size = 2.0**windows.level
-    places = _offsets() * size + shift[:, None]
     read = np.zeros_like(windows.values)
     weight = np.zeros_like(windows.values)
     for reading in windows.readings:
-        coordinates = _evaluate_many(windows.coefficients[reading.chosen], places[reading.chosen])
-        coordinates = coordinates / 2.0**reading.level
-        read[reading.chosen] = _sample(reading.image, coordinates)
-        weight[reading.chosen] = _sample(reading.mask, coordinates) > 254.5
+        chosen = reading.chosen
+        moved = shift[chosen].astype(np.float32)
+        bend = np.einsum(
+            "nk,nkd->nd", _basis(shift[chosen])[:, 3:], windows.coefficients[chosen, 3:]
+        )
+        places = reading.places + (reading.by_shift @ moved[:, None, :, None])[..., 0]
+        places += (reading.scale * bend[:, None]).astype(np.float32)
+        read[chosen] = _sample(reading.image, places)
+        weight[chosen] = _sample(reading.mask, places) > 254.5
     weight *= windows.inside
     total = np.maximum(weight.sum(axis=1, keepdims=True), 1.0)
     read = (read - (read * weight).sum(axis=1, keepdims=True) / total) * weight
@@ -325,7 +373,7 @@ def _fit_warp(
     around = np.column_stack([columns, rows]) * reach
     mapped = second_from_first((points[:, None] + around).reshape(-1, 2))
     basis = _basis(around)
-    return np.einsum("km,nmd->nkd", np.linalg.pinv(basis), mapped.reshape(len(points), 9, 2))
+    return np.asarray(np.linalg.pinv(basis) @ mapped.reshape(len(points), len(around), 2))
 
 
 def _basis(places: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -333,16 +381,8 @@ def _basis(places: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 
 
-def _evaluate(
-    coefficients: NDArray[np.float64], shift: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    return np.einsum("nk,nkd->nd", _basis(shift), coefficients)
-
-
-def _evaluate_many(
-    coefficients: NDArray[np.float64], places: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    return _basis(places) @ coefficients
+def _evaluate(coefficients: NDArray[np.float64], shift: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.einsum("nk,nkd->nd", _basis(shift), coefficients))
 
 
 def _slope_of_warp(
@@ -363,11 +403,11 @@ def _slopes(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np
 
 
 def _sample(
-    image: NDArray[np.float32] | NDArray[np.uint8], places: NDArray[np.float64]
-) -> NDArray[np.float64]:
+    image: NDArray[np.float32] | NDArray[np.uint8], places: NDArray[np.floating]
+) -> NDArray[np.float32]:
     """Interpolate (h, w) at (N, W, 2) pixels; 0 outside."""
     if len(places) == 0:
-        return np.zeros(places.shape[:2])
-    columns, rows = np.moveaxis(places.astype(np.float32), -1, 0)
-    read = cv2.remap(image, np.ascontiguousarray(columns), np.ascontiguousarray(rows), cv2.INTER_LINEAR)
-    return np.asarray(read, dtype=np.float64)
+        return np.zeros(places.shape[:2], np.float32)
+    columns, rows = (np.ascontiguousarray(places[..., axis], np.float32) for axis in (0, 1))
+    read = cv2.remap(image, columns, rows, cv2.INTER_LINEAR)
+    return np.asarray(read, np.float32)

@@ -1,9 +1,9 @@
 """The camera and all poses that explain every match at once: bundle adjustment over a plane.
 
 Levenberg-Marquardt on the reprojection error with analytic Jacobians and a redescending kernel
-(Triggs et al., Bundle Adjustment: A Modern Synthesis, 2000). The unknowns are the camera's, shared by
-all frames, and each frame's pose with what its pitch, roll and height differ by; those are held near
-zero by how much they vary, which the data tell too (expectation maximisation for variance
+(Triggs et al., Bundle Adjustment: A Modern Synthesis, 2000). The unknowns are the camera's, shared
+by all frames, and each frame's pose with what its pitch, roll and height differ by; those are held
+near zero by how much they vary, which the data tell too (expectation maximisation for variance
 components: Dempster, Laird and Rubin, 1977). The plane's scale is not observable: it is held by the
 calibration's height.
 """
@@ -11,11 +11,11 @@ calibration's height.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_matrix, diags
+from scipy.sparse import coo_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
 from slamcli.core.geometry import Pose2
@@ -51,6 +51,9 @@ _EXPECTATION_ROUNDS = 6
 _LEAST_ROCKING = np.array([2e-5, 2e-5, 1e-4])
 FIRST_ROCKING = np.array([0.004, 0.004, 0.01])
 _LEAST_SCALE = 0.3
+# No calibration is worse than about this (log focal length, radial coefficients, pitch, roll), and
+# what the matches leave open must not run away.
+_CAMERA_SIGMAS = np.array([0.15, 0.4, 0.4, 0.1, 0.1])
 _COLUMNS_AT_ONCE = 240
 
 
@@ -200,12 +203,13 @@ def _prior(layout: _Layout, sigmas: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the information (K,) that holds each unknown near zero."""
     rocking = np.where(sigmas > 0.0, 1.0 / np.maximum(sigmas, 1e-12) ** 2, 0.0)
     by_frame = np.concatenate([np.zeros(POSE_PARAMETERS), rocking])
-    return np.concatenate([np.zeros(CAMERA_PARAMETERS), np.tile(by_frame, len(layout.frames))])
+    return np.concatenate([_CAMERA_SIGMAS**-2, np.tile(by_frame, len(layout.frames))])
 
 
 def _held(layout: _Layout, state: _State) -> NDArray[np.float64]:
     """Return (K,): how far each unknown that is held near zero stands from it."""
     values = np.zeros(layout.count)
+    values[:CAMERA_PARAMETERS] = state.change
     height = state.calibration.height_metres
     for place, index in enumerate(layout.frames):
         rocking = state.views[index].rocking
@@ -313,7 +317,7 @@ def _normal_equations(
     prior: NDArray[np.float64],
     layout: _Layout,
     state: _State,
-) -> tuple[coo_matrix, NDArray[np.float64]]:
+) -> tuple[csc_matrix, NDArray[np.float64]]:
     """Return the normal matrix (K, K), sparse, and the gradient (K,); identity where held."""
     gradient = prior * _held(layout, state)
     rows, columns, values = [], [], []
@@ -385,7 +389,7 @@ def _rocking_seen(state: _State, layout: _Layout, factor: SuperLU) -> NDArray[np
         held[layout.of_frame(place)[POSE_PARAMETERS:]] ** 2 + np.diag(marginal)
         for place, marginal in enumerate(marginals)
     ]
-    return np.maximum(np.sqrt(np.mean(squares, axis=0)), _LEAST_ROCKING)
+    return np.asarray(np.maximum(np.sqrt(np.mean(squares, axis=0)), _LEAST_ROCKING))
 
 
 def _camera_covariance(
@@ -417,7 +421,7 @@ def _camera_covariance(
     free = layout.free[:CAMERA_PARAMETERS]
     grown = np.sqrt(np.maximum(np.diag(spread) / np.maximum(np.diag(told), 1e-30), 1.0))
     covariance = told * np.outer(grown, grown)
-    return np.where(np.outer(free, free), covariance, 0.0)
+    return np.asarray(np.where(np.outer(free, free), covariance, 0.0))
 
 
 def _pose_covariances(layout: _Layout, factor: SuperLU) -> dict[int, NDArray[np.float64]]:
