@@ -11,7 +11,7 @@ calibration's height.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,7 +40,9 @@ if TYPE_CHECKING:
 
 _MOST_ITERATIONS = 40
 _MOST_RETRIES = 6
-_CONVERGED = 1e-4
+_CONVERGED = 1e-3
+# While it is still being learnt how much frames vary, steps towards the end would be wasted.
+_LEARNING_ITERATIONS = 3
 # Geman and McClure's scale in sigmas; see stages.align.rigid.
 _KERNEL_SIGMAS = 3.0
 # Median length of a normal error in one direction, and in two.
@@ -76,6 +78,8 @@ class Adjustment:
         By how much pitch, roll (rad) and log height vary from frame to frame.
     scale : float
         How many times larger residuals are than the matches' sigmas said.
+    unevenness_metres : float
+        By how much the floor lies higher here and lower there, one sigma.
     """
 
     calibration: Calibration
@@ -85,6 +89,7 @@ class Adjustment:
     pose_covariances: dict[int, NDArray[np.float64]]
     rocking_sigmas: NDArray[np.float64]
     scale: float
+    unevenness_metres: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,19 +110,37 @@ class _Layout:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _State:
+    """Where the unknowns stand, and how uneven the floor is (m, one sigma)."""
+
     calibration: Calibration
     views: dict[int, View]
     change: NDArray[np.float64]
+    unevenness_metres: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Block:
-    """One pair of frames: whitened residuals and Jacobian by 17 unknowns of so many places."""
+    """One pair of frames, linearised, all in standard deviations.
+
+    Attributes
+    ----------
+    unknowns : (17,) int
+        Places in the vector of all unknowns.
+    residual : (N, 2) float64
+    jacobian : (N, 2, 17) float64
+    median : (N,) float64
+        Of the length of a residual, were it a standard normal one.
+    plain, by_rise : (N, 2) float64
+        The residual, and what a metre by which the floor lies higher at the spot changes it by, as
+        they are on an even floor.
+    """
 
     unknowns: NDArray[np.int64]
     residual: NDArray[np.float64]
     jacobian: NDArray[np.float64]
     median: NDArray[np.float64]
+    plain: NDArray[np.float64]
+    by_rise: NDArray[np.float64]
 
 
 def adjust(
@@ -157,9 +180,12 @@ def adjust(
     sigmas = rocking_sigmas
     for number in range(rounds):
         prior = _prior(layout, sigmas)
-        state, scale, factor, blocks = _descend(state, matches, layout, prior)
+        learning = 0 < number < rounds - 1
+        iterations = _LEARNING_ITERATIONS if learning else _MOST_ITERATIONS
+        state, scale, factor, blocks = _descend(state, matches, layout, prior, iterations)
         if number + 1 < rounds:
             sigmas = _rocking_seen(state, layout, factor)
+            state = replace(state, unevenness_metres=_unevenness_seen(blocks, scale))
     return Adjustment(
         state.calibration,
         state.views,
@@ -168,6 +194,7 @@ def adjust(
         _pose_covariances(layout, factor),
         sigmas,
         scale,
+        state.unevenness_metres,
     )
 
 
@@ -222,13 +249,17 @@ def _held(layout: _Layout, state: _State) -> NDArray[np.float64]:
 
 
 def _descend(
-    state: _State, matches: Sequence[Matches], layout: _Layout, prior: NDArray[np.float64]
+    state: _State,
+    matches: Sequence[Matches],
+    layout: _Layout,
+    prior: NDArray[np.float64],
+    iterations: int,
 ) -> tuple[_State, float, SuperLU, list[_Block]]:
     """Run Levenberg-Marquardt; return the state, the residuals' scale, and its last equations."""
     damping = 1e-4
     blocks = _linearise(state, matches, layout)
     scale = _scale(blocks)
-    for _ in range(_MOST_ITERATIONS):
+    for _ in range(iterations):
         cost = _cost(blocks, scale, prior, _held(layout, state))
         normal, gradient = _normal_equations(blocks, scale, prior, layout, state)
         diagonal = normal.diagonal()
@@ -272,15 +303,47 @@ def _linearise(state: _State, matches: Sequence[Matches], layout: _Layout) -> li
         )
         known = np.linalg.norm(whitening, axis=2).min(axis=1)
         along = np.linalg.norm(whitening, axis=2).max(axis=1)
+        plain = np.einsum("nij,nj->ni", whitening, difference)
+        # Where the floor lies higher, both cameras are nearer to it.
+        heights = [
+            state.calibration.height_metres + state.views[index].rocking.height_metres
+            for index in (pair.a, pair.b)
+        ]
+        rise = -moved.by_a[seen, :, -1] / heights[0] - moved.by_b[seen, :, -1] / heights[1]
+        by_rise = np.einsum("nij,nj->ni", whitening, rise)
+        shrink = _shrinking(by_rise * state.unevenness_metres)
         blocks.append(
             _Block(
                 unknowns,
-                np.einsum("nij,nj->ni", whitening, difference),
-                whitening @ jacobian,
+                np.einsum("nij,nj->ni", shrink, plain),
+                shrink @ whitening @ jacobian,
                 np.where(known < _LINE_RATIO * along, _MEDIAN_ONE, _MEDIAN_TWO),
+                plain,
+                by_rise,
             )
         )
     return blocks
+
+
+def _shrinking(spread: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (N, 2, 2): the inverse root of ``I + s s^T`` for (N, 2) vectors s."""
+    squared = np.einsum("ni,ni->n", spread, spread)
+    share = (1.0 - 1.0 / np.sqrt(1.0 + squared)) / np.maximum(squared, 1e-12)
+    outer = spread[:, :, None] * spread[:, None, :]
+    return np.asarray(np.eye(2) - share[:, None, None] * outer)
+
+
+def _unevenness_seen(blocks: Sequence[_Block], scale: float) -> float:
+    """Return how uneven the floor is: what residuals vary more by in the one way that shows it."""
+    plain = np.concatenate([block.plain for block in blocks])
+    by_rise = np.concatenate([block.by_rise for block in blocks])
+    length = np.maximum(np.linalg.norm(by_rise, axis=1), 1e-9)
+    along = np.einsum("ni,ni->n", plain, by_rise / length[:, None])
+    telling = length > np.median(length)
+    # The median of a squared normal number is 0.455 times its variance.
+    variance = (along[telling] / length[telling]) ** 2
+    even = (scale / length[telling]) ** 2
+    return math.sqrt(max(float(np.median(variance)) / 0.455 - float(np.median(even)), 0.0))
 
 
 def _scale(blocks: Sequence[_Block]) -> float:
@@ -357,7 +420,7 @@ def _moved(state: _State, layout: _Layout, step: NDArray[np.float64]) -> _State:
                 height * math.exp(float(own[5])) - calibration.height_metres,
             ),
         )
-    return _State(calibration, views, state.change + camera)
+    return _State(calibration, views, state.change + camera, state.unevenness_metres)
 
 
 def _inverse_columns(factor: SuperLU, count: int, wanted: NDArray[np.int64]) -> NDArray[np.float64]:
