@@ -39,9 +39,10 @@ _NEIGHBOURS = 3
 _MOST_MATCHES, _MOST_MATCHES_A_PAIR, _LEAST_MATCHES_A_PAIR = 60_000, 200, 40
 _LEAST_PAIRS, _LEAST_FRAMES = 4, 4
 _HELD_OUT = 4
-# One sigma at most of log focal length, two radial coefficients, pitch and roll.
-_MOST_SIGMAS = np.array([0.01, 0.02, 0.05, math.radians(0.2), math.radians(0.2)])
-_LEAST_K2_SIGMAS = 4.0
+# One sigma at most of log focal length, two radial coefficients, pitch, roll and the principal
+# point; the last only matters where it passes for a tilt, which has its own limit.
+_MOST_SIGMAS = np.array([0.01, 0.02, 0.05, math.radians(0.2), math.radians(0.2), 0.01, 0.01])
+_LEAST_LENS_SIGMAS = 4.0
 _SIGNIFICANCE = 0.999
 # A better camera leaves less than this share of the error of matches that it was not made from;
 # what is off by more than so many sigmas is no match.
@@ -50,13 +51,14 @@ _CLIPPED = 5.0
 _CORNER_RATIO = 0.3
 # A round that moves the camera by less than this many sigmas, or this little, was the last.
 _SETTLED_SIGMAS = 0.5
-_SETTLED = np.array([2e-5, 2e-5, 2e-5, 2e-6, 2e-6])
+_SETTLED = np.array([2e-5, 2e-5, 2e-5, 2e-6, 2e-6, 2e-6, 2e-6])
 # A pose is no surer than this, m and rad.
 _LEAST_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
-_TILTS_AND_FOCAL = np.array([True, False, False, True, True])
-_WITH_K1 = np.array([True, True, False, True, True])
-_WITH_K2 = np.ones(5, np.bool_)
-_NONE = np.zeros(5, np.bool_)
+_TILTS_AND_FOCAL = np.array([True, False, False, True, True, False, False])
+_WITH_K1 = np.array([True, True, False, True, True, False, False])
+_WITH_K2 = np.array([True, True, True, True, True, False, False])
+_WITH_CENTRE = np.ones(7, np.bool_)
+_NONE = np.zeros(7, np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,12 +219,15 @@ def _explain(
     plain = _fit(calibration, views, matches, _WITH_K1)
     if math.sqrt(plain.camera_covariance[1, 1]) > _MOST_SIGMAS[1]:
         return _fit(calibration, views, matches, _TILTS_AND_FOCAL)
-    richer = _fit(plain.calibration, plain.views, matches, _WITH_K2)
-    sigmas = np.sqrt(np.diag(richer.camera_covariance))
-    bent = abs(float(richer.camera_change[2]))
-    if np.any(sigmas > _MOST_SIGMAS) or bent < _LEAST_K2_SIGMAS * sigmas[2]:
-        return plain
-    return replace(richer, camera_change=plain.camera_change + richer.camera_change)
+    best = plain
+    for more, free in ((slice(2, 3), _WITH_K2), (slice(5, 7), _WITH_CENTRE)):
+        richer = _fit(best.calibration, best.views, matches, free)
+        sigmas = np.sqrt(np.diag(richer.camera_covariance))
+        told = np.abs(richer.camera_change[more]) > _LEAST_LENS_SIGMAS * sigmas[more]
+        if np.any(sigmas > _MOST_SIGMAS) or not np.any(told):
+            break
+        best = replace(richer, camera_change=best.camera_change + richer.camera_change)
+    return best
 
 
 def _fit(
@@ -284,6 +289,8 @@ def _left_open(found: adjustment.Adjustment) -> str:
         "",
         f"the pitch (±{math.degrees(sigmas[3]):.2g}°)",
         f"the roll (±{math.degrees(sigmas[4]):.2g}°)",
+        "",
+        "",
     )
     loose = [
         word

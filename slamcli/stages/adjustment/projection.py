@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from slamcli.core.records import Calibration, Rocking
 
 # What the camera's own parameters are, and each frame's, in the order of the Jacobians' columns.
-CAMERA_PARAMETERS = 5
+CAMERA_PARAMETERS = 7
 FRAME_PARAMETERS = 6
 POSE_PARAMETERS = 3
 
@@ -52,8 +52,9 @@ class Transfer:
     ----------
     pixels : (N, 2) float64
         In b's own picture; nan behind a camera.
-    by_camera : (N, 2, 5) float64
-        By log focal length, the first two radial coefficients, pitch and roll (rad).
+    by_camera : (N, 2, 7) float64
+        By log focal length, the first two radial coefficients, pitch and roll (rad), and the
+        principal point's column and row (in focal lengths).
     by_a, by_b : (N, 2, 6) float64
         By either frame's x, y (m) and theta (rad), in its own axes, and by its own pitch, roll
         (rad) and log height.
@@ -70,6 +71,7 @@ def changed(calibration: Calibration, change: NDArray[np.float64]) -> Calibratio
     zoom = math.exp(float(change[0]))
     matrix = calibration.camera_matrix @ np.diag([zoom, zoom, 1.0])
     matrix[:, 2] = calibration.camera_matrix[:, 2]
+    matrix[:2, 2] += change[5:7] * calibration.camera_matrix[[0, 1], [0, 1]]
     distortion = calibration.distortion.copy()
     distortion[:2] += change[1:3]
     pitch = calibration.pitch_radians + float(change[3])
@@ -117,8 +119,9 @@ def transfer_with_jacobians(
     by_mounting_a = pixel_by_floor @ floor.by_mounting
     by_mounting_b = seen_b.by_ray @ back.by_mounting
     by_camera = np.empty((count, 2, CAMERA_PARAMETERS))
-    by_camera[:, :, :3] = seen_b.by_lens + pixel_by_floor @ floor.by_rays @ ray_by_lens
-    by_camera[:, :, 3:] = by_mounting_a[:, :, :2] + by_mounting_b[:, :, :2]
+    by_lens = seen_b.by_lens + pixel_by_floor @ floor.by_rays @ ray_by_lens
+    by_camera[:, :, :3], by_camera[:, :, 5:] = by_lens[:, :, :3], by_lens[:, :, 3:]
+    by_camera[:, :, 3:5] = by_mounting_a[:, :, :2] + by_mounting_b[:, :, :2]
     by_a = np.empty((count, 2, FRAME_PARAMETERS))
     by_a[:, :, :3] = pixel_by_floor @ _by_motion(floor.points)
     by_a[:, :, 3:] = by_mounting_a
@@ -130,7 +133,10 @@ def transfer_with_jacobians(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """Rays through the lens: pixels (N, 2), by ray (N, 2, 2), by log focal, k1, k2 (N, 2, 3)."""
+    """Rays through the lens: pixels (N, 2), by ray (N, 2, 2), by the lens (N, 2, 5).
+
+    That is by log focal length, two radial coefficients, and the principal point.
+    """
 
     pixels: NDArray[np.float64]
     by_ray: NDArray[np.float64]
@@ -166,14 +172,15 @@ def _lens(calibration: Calibration, rays: NDArray[np.float64]) -> _Seen:
             points[:, None], still, still, matrix, distortion[:4]
         )
         # Columns: focal lengths, centre, coefficients, rotation, translation, skew.
-        focal, radial, shift = slice(0, 2), slice(4, 6), slice(11, 13)
+        focal, centre, radial, shift = slice(0, 2), slice(2, 4), slice(4, 6), slice(11, 13)
     else:
         projected, jacobian = cv2.projectPoints(points, still, still, matrix, distortion)
         # Columns: rotation, translation, focal lengths, centre, coefficients.
-        focal, radial, shift = slice(6, 8), slice(10, 12), slice(3, 5)
+        focal, centre, radial, shift = slice(6, 8), slice(8, 10), slice(10, 12), slice(3, 5)
     columns = np.asarray(jacobian, np.float64).reshape(len(rays), 2, -1)
     by_zoom = columns[:, :, focal] @ (matrix[0, 0], matrix[1, 1])
-    by_lens = np.concatenate([by_zoom[:, :, None], columns[:, :, radial]], axis=2)
+    by_centre = columns[:, :, centre] * (matrix[0, 0], matrix[1, 1])
+    by_lens = np.concatenate([by_zoom[:, :, None], columns[:, :, radial], by_centre], axis=2)
     pixels = np.asarray(projected, np.float64).reshape(-1, 2)
     return _Seen(pixels, columns[:, :, shift], by_lens)
 

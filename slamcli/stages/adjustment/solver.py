@@ -53,9 +53,9 @@ _EXPECTATION_ROUNDS = 6
 _LEAST_ROCKING = np.array([2e-5, 2e-5, 1e-4])
 FIRST_ROCKING = np.array([0.004, 0.004, 0.01])
 _LEAST_SCALE = 0.3
-# No calibration is worse than about this (log focal length, radial coefficients, pitch, roll), and
-# what the matches leave open must not run away.
-_CAMERA_SIGMAS = np.array([0.15, 0.4, 0.4, 0.1, 0.1])
+# No calibration is worse than about this, and what the matches leave open must not run away: log
+# focal length, radial coefficients, pitch, roll, principal point (in focal lengths).
+_CAMERA_SIGMAS = np.array([0.15, 0.4, 0.4, 0.1, 0.1, 0.02, 0.02])
 _COLUMNS_AT_ONCE = 240
 
 
@@ -68,9 +68,10 @@ class Adjustment:
     calibration : Calibration
     views : dict of int to View
         By frame index.
-    camera_change : (5,) float64
-        Of log focal length, the first two radial coefficients, pitch and roll, in all.
-    camera_covariance : (5, 5) float64
+    camera_change : (7,) float64
+        Of log focal length, the first two radial coefficients, pitch, roll and principal point (in
+        focal lengths), in all.
+    camera_covariance : (7, 7) float64
         Zero where a parameter was held.
     pose_covariances : dict of int to (3, 3) float64
         Of x, y (m), theta (rad), in the robot's own axes; zero for a frame that defines its map.
@@ -124,10 +125,10 @@ class _Block:
 
     Attributes
     ----------
-    unknowns : (17,) int
+    unknowns : (19,) int
         Places in the vector of all unknowns.
     residual : (N, 2) float64
-    jacobian : (N, 2, 17) float64
+    jacobian : (N, 2, 19) float64
     median : (N,) float64
         Of the length of a residual, were it a standard normal one.
     plain, by_rise : (N, 2) float64
@@ -164,8 +165,9 @@ def adjust(
     matches : sequence of Matches
     anchors : sequence of int
         Frames whose poses stay: one for each connected map.
-    camera_free : (5,) bool
-        Which of log focal length, two radial coefficients, pitch and roll are estimated.
+    camera_free : (7,) bool
+        Which of log focal length, two radial coefficients, pitch, roll and the principal point's
+        column and row are estimated.
     rocking_sigmas : (3,) float64
         By how much pitch, roll (rad) and log height vary from frame to frame; zeros: not at all.
     learn_rocking : bool
