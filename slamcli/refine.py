@@ -50,7 +50,7 @@ _MOST_OF_BEFORE = 0.995
 _CLIPPED = 5.0
 _CORNER_RATIO = 0.3
 # A round that moves the camera by less than this many sigmas, or this little, was the last.
-_SETTLED_SIGMAS = 0.5
+_SETTLED_SIGMAS = 1.0
 _SETTLED = np.array([2e-5, 2e-5, 2e-5, 2e-6, 2e-6, 2e-6, 2e-6])
 # A pose is no surer than this, m and rad.
 _LEAST_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
@@ -313,8 +313,8 @@ def _confirmed(calibration: Calibration, survey: _Survey) -> str:
     told = [_part(match, held_out=False) for match in survey.matches]
     asked = [_part(match, held_out=True) for match in survey.matches]
     errors = []
-    for camera_before, free in ((calibration, _NONE), (found.calibration, _NONE)):
-        fit = _fit(camera_before, found.views, told, free)
+    for judged in (calibration, found.calibration):
+        fit = _fit(judged, found.views, told, _NONE)
         lengths = adjustment.residual_lengths(fit.calibration, fit.views, asked)
         errors.append(float(np.mean(np.minimum(lengths, _CLIPPED * found.scale))))
     if errors[1] > _MOST_OF_BEFORE * errors[0]:
@@ -440,9 +440,12 @@ def _told(before: Calibration, after: Calibration) -> str:
     pitch = [math.degrees(c.pitch_radians) for c in (before, after)]
     roll = [math.degrees(c.roll_radians) for c in (before, after)]
     lens = [", ".join(f"{k:.4f}" for k in c.distortion[:2]) for c in (before, after)]
+    centre = after.camera_matrix[:2, 2] - before.camera_matrix[:2, 2]
     return (
         f"focal length {focal[0]:.1f} to {focal[1]:.1f} ± {after.focal_sigma_pixels:.1f} px, "
-        f"radial distortion {lens[0]} to {lens[1]}, height {height[0]:.1f} to {height[1]:.1f} mm, "
+        f"radial distortion {lens[0]} to {lens[1]}, "
+        f"principal point moved by {centre[0]:.1f}, {centre[1]:.1f} px, "
+        f"height {height[0]:.1f} to {height[1]:.1f} mm, "
         f"pitch {pitch[0]:.2f} to {pitch[1]:.2f} ± {math.degrees(after.pitch_sigma_radians):.2g}°, "
         f"roll {roll[0]:.2f} to {roll[1]:.2f} ± {math.degrees(after.roll_sigma_radians):.2g}°"
     )

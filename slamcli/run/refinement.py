@@ -164,6 +164,8 @@ def run_section(done: Refinement) -> dict[str, Scalar]:
         "reason": done.reason,
         "rounds": done.rounds,
         "focal_pixels": float(calibration.camera_matrix[0, 0]),
+        "principal_column_pixels": float(calibration.camera_matrix[0, 2]),
+        "principal_row_pixels": float(calibration.camera_matrix[1, 2]),
         "height_metres": calibration.height_metres,
         "pitch_degrees": math.degrees(calibration.pitch_radians),
         "roll_degrees": math.degrees(calibration.roll_radians),
