@@ -34,6 +34,7 @@ Matching = Callable[[Pair], adjustment.Matches | None]
 InOrder = Callable[[Matching, Sequence[Pair]], Iterable[adjustment.Matches | None]]
 
 _MOST_ROUNDS = 4
+_LEARNING_ROUNDS, _WARM_ROUNDS = 5, 1
 # Frames this many places apart are compared too, where they share enough floor.
 _NEIGHBOURS = 3
 _MOST_MATCHES, _MOST_MATCHES_A_PAIR, _LEAST_MATCHES_A_PAIR = 60_000, 200, 40
@@ -147,7 +148,7 @@ def refine(
     if doubt:
         return Refinement(first, "not applied", doubt, 1)
     views, matches = survey.found.views, survey.matches
-    held = _fit(first.calibration, views, matches, _NONE)
+    held = _fit(first.calibration, views, matches, _NONE, survey.found.rocking_sigmas)
     rigid = _fit(first.calibration, views, matches, _NONE, rocking_sigmas=np.zeros(3))
     before = _median_pixels(rigid, survey)
     confirmed = _confirmed(first.calibration, survey)
@@ -203,7 +204,8 @@ def _survey(
         matches = [match for match in in_order(find, pairs) if match is not None]
         if len(matches) < _LEAST_PAIRS:
             return None
-        found = _explain(calibration, views, matches)
+        rough = coarsest == adjustment.DEEPEST_LEVEL
+        found = _explain(calibration, views, matches, rough=rough)
         calibration, views = found.calibration, {**views, **found.views}
         change += found.camera_change
     assert found is not None
@@ -214,14 +216,18 @@ def _explain(
     calibration: Calibration,
     views: Mapping[int, adjustment.View],
     matches: Sequence[adjustment.Matches],
+    *,
+    rough: bool,
 ) -> adjustment.Adjustment:
     """Return the adjustment with as much of the lens as the matches determine."""
-    plain = _fit(calibration, views, matches, _WITH_K1)
+    plain = _fit(calibration, views, matches, _WITH_K1, rounds=_WARM_ROUNDS if rough else None)
+    if rough:
+        return plain
     if math.sqrt(plain.camera_covariance[1, 1]) > _MOST_SIGMAS[1]:
         return _fit(calibration, views, matches, _TILTS_AND_FOCAL)
     best = plain
     for more, free in ((slice(2, 3), _WITH_K2), (slice(5, 7), _WITH_CENTRE)):
-        richer = _fit(best.calibration, best.views, matches, free)
+        richer = _fit(best.calibration, best.views, matches, free, best.rocking_sigmas)
         sigmas = np.sqrt(np.diag(richer.camera_covariance))
         told = np.abs(richer.camera_change[more]) > _LEAST_LENS_SIGMAS * sigmas[more]
         if np.any(sigmas > _MOST_SIGMAS) or not np.any(told):
@@ -236,9 +242,12 @@ def _fit(
     matches: Sequence[adjustment.Matches],
     camera_free: NDArray[np.bool_],
     rocking_sigmas: NDArray[np.float64] | None = None,
+    rounds: int | None = None,
 ) -> adjustment.Adjustment:
-    """Adjust; by how much frames rock is learnt unless it is given."""
-    if rocking_sigmas is not None and not np.any(rocking_sigmas):
+    """Adjust; by how much frames rock is learnt, from what is given on or from the first guess."""
+    warm = rocking_sigmas is not None
+    sigmas = adjustment.FIRST_ROCKING if rocking_sigmas is None else rocking_sigmas
+    if not np.any(sigmas):
         views = {i: adjustment.View(v.map_from_robot, Rocking()) for i, v in views.items()}
     return adjustment.adjust(
         calibration,
@@ -246,8 +255,8 @@ def _fit(
         matches,
         _anchors(matches),
         camera_free=camera_free,
-        rocking_sigmas=adjustment.FIRST_ROCKING if rocking_sigmas is None else rocking_sigmas,
-        learn_rocking=rocking_sigmas is None,
+        rocking_sigmas=sigmas,
+        learning_rounds=rounds or (_WARM_ROUNDS if warm else _LEARNING_ROUNDS),
     )
 
 
@@ -314,7 +323,7 @@ def _confirmed(calibration: Calibration, survey: _Survey) -> str:
     asked = [_part(match, held_out=True) for match in survey.matches]
     errors = []
     for judged in (calibration, found.calibration):
-        fit = _fit(judged, found.views, told, _NONE)
+        fit = _fit(judged, found.views, told, _NONE, found.rocking_sigmas)
         lengths = adjustment.residual_lengths(fit.calibration, fit.views, asked)
         errors.append(float(np.mean(np.minimum(lengths, _CLIPPED * found.scale))))
     if errors[1] > _MOST_OF_BEFORE * errors[0]:

@@ -48,7 +48,6 @@ _KERNEL_SIGMAS = 3.0
 # Median length of a normal error in one direction, and in two.
 _MEDIAN_ONE, _MEDIAN_TWO = 0.6745, math.sqrt(2.0 * math.log(2.0))
 _LINE_RATIO = 0.3
-_EXPECTATION_ROUNDS = 6
 # By how much frames vary at least and at first: pitch, roll (rad), log height.
 _LEAST_ROCKING = np.array([2e-5, 2e-5, 1e-4])
 FIRST_ROCKING = np.array([0.004, 0.004, 0.01])
@@ -152,7 +151,7 @@ def adjust(
     *,
     camera_free: NDArray[np.bool_],
     rocking_sigmas: NDArray[np.float64],
-    learn_rocking: bool,
+    learning_rounds: int = 0,
 ) -> Adjustment:
     """Estimate camera, poses and rocking together.
 
@@ -170,15 +169,16 @@ def adjust(
         column and row are estimated.
     rocking_sigmas : (3,) float64
         By how much pitch, roll (rad) and log height vary from frame to frame; zeros: not at all.
-    learn_rocking : bool
-        Estimate those from the data.
+    learning_rounds : int
+        So many times those, and how uneven the floor is, are estimated anew from what was found;
+        six suffice from any start.
     """
     frames = tuple(sorted({m.a for m in matches} | {m.b for m in matches}))
     layout = _Layout(frames, _free(frames, anchors, camera_free, rocking_sigmas))
     state = _State(
         calibration, {index: views[index] for index in frames}, np.zeros(CAMERA_PARAMETERS)
     )
-    rounds = _EXPECTATION_ROUNDS if learn_rocking and np.any(rocking_sigmas) else 1
+    rounds = 1 + (learning_rounds if np.any(rocking_sigmas) else 0)
     sigmas = rocking_sigmas
     for number in range(rounds):
         prior = _prior(layout, sigmas)
