@@ -42,7 +42,7 @@ _LEAST_PAIRS, _LEAST_FRAMES = 4, 4
 _HELD_OUT = 4
 # One sigma at most of log focal length, two radial coefficients, pitch, roll and the principal
 # point; the last only matters where it passes for a tilt, which has its own limit.
-_MOST_SIGMAS = np.array([0.01, 0.02, 0.05, math.radians(0.2), math.radians(0.2), 0.01, 0.01])
+_MOST_SIGMAS = np.array([0.003, 0.01, 0.05, math.radians(0.1), math.radians(0.1), 0.01, 0.01])
 _LEAST_LENS_SIGMAS = 4.0
 _SIGNIFICANCE = 0.999
 # A better camera leaves less than this share of the error of matches that it was not made from;
