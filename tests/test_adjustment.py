@@ -297,7 +297,7 @@ def test_a_straight_drive_does_not_change_a_right_camera(tmp_path: Path) -> None
         assert "confirmed" in refined.output
         same = errors(load_calibration(tmp_path / "calibration.yaml"), true)
         np.testing.assert_array_equal(same, 0.0)
-    without = run("calibrate", "--refine", drive / "frames", "-o", tmp_path)
+    without = run("calibrate", "--refine", drive / "frames", "-o", tmp_path / "other.yaml")
     assert without.exit_code == 1
     assert "-c" in without.output
     assert run("calibrate", drive / "square.png", "-c", drive / "camera.yaml").exit_code == 2
