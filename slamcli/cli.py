@@ -77,6 +77,7 @@ def main() -> None:
 @click.option(
     "--resume", is_flag=True, help="Go on with a run of the same frames and options, cut off."
 )
+@options.self_calibrate
 @options.mapper_options
 @options.feature_details
 @options.match_details
@@ -108,6 +109,7 @@ def stitch(
         max_range_metres=told["max_range"],
         frame_rate=told["frame_rate"],
         debug=told["debug"],
+        self_calibrate=told["self_calibrate"],
         export=told["export"],
         resume=told["resume"],
         workers=workers or default_workers(),
@@ -396,7 +398,13 @@ def evaluate(poses: Path, truth: Path, tolerance: float, delta: int, as_json: bo
     type=Numbers(4, ",", "x,y x,y x,y x,y"),
     help="The square's corners in pixels, any order. Default: it is found.",
 )
-@click.option("--refine", is_flag=True, help="Move the given corners to the edges nearby.")
+@click.option(
+    "--refine",
+    is_flag=True,
+    help="With --corners: move them to the edges nearby. With -c: refine that calibration by the "
+    "frames of a drive, which are given in place of photos.",
+)
+@options.calibration
 @click.option(
     "--chessboard",
     type=Numbers(1, "x", "8x6"),
@@ -408,25 +416,49 @@ def evaluate(poses: Path, truth: Path, tolerance: float, delta: int, as_json: bo
 @options.output(
     "the calibration (.yaml, or a folder) and its check picture", default="calibration.yaml"
 )
+@options.workers
 @options.overwrite
 def calibrate(
     photos: tuple[Path, ...],
     side: float,
     corners: Any,
     refine: bool,
+    calibration: Path | None,
     chessboard: Any,
     aruco: str | None,
     intrinsics: Path | None,
     max_range: float | None,
     output: Path,
+    workers: int | None,
     overwrite: bool,
 ) -> None:
     """Calibrate from PHOTOS of a square.
 
-    The square lies on the floor. Several photos are compared and the best is named.
+    The square lies on the floor. Several photos are compared and the best is named. Or refine a
+    calibration by a drive: --refine FRAMES -c CALIBRATION.
     """
     from slamcli.run.calibrate import CalibrateOptions
     from slamcli.run.calibrate import calibrate as run_calibrate
+
+    if calibration is not None and not refine:
+        raise click.UsageError("-c is for --refine, which refines a calibration by frames")
+    if refine and (calibration is not None or any(photo.is_dir() for photo in photos)):
+        from slamcli.progress import ProgressBar
+        from slamcli.run.executor import default_workers
+        from slamcli.run.refinement import calibrate_by_frames
+
+        with ProgressBar() as progress:
+            lines = calibrate_by_frames(
+                photos,
+                calibration,
+                output,
+                max_range,
+                workers=workers or default_workers(),
+                overwrite=overwrite,
+                progress=progress,
+            )
+        click.echo("\n".join(lines))
+        return
 
     resolved = CalibrateOptions(
         side_metres=side,

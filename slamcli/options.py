@@ -54,6 +54,12 @@ metres_per_pixel = click.option(
     type=POSITIVE,
     help="Resolution of the result. Default: chosen from how finely the camera sees the floor.",
 )
+self_calibrate = click.option(
+    "--self-calibrate/--no-self-calibrate",
+    default=False,
+    help="Refine the camera by the frames themselves, where they determine it, and each frame's "
+    "tilt and height; or take the calibration as it is [default].",
+)
 workers = click.option(
     "--workers",
     type=click.IntRange(min=1),

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 COLUMNS = (
     "index,frame,stamp,status,reason,fragment,x,y,heading,"
-    "sigma_x,sigma_y,sigma_heading,inliers,score"
+    "sigma_x,sigma_y,sigma_heading,inliers,score,rocking_pitch,rocking_roll,rocking_height"
 )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,8 @@ from slamcli.core.geometry import invert
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from slamcli.core.records import Calibration, Rocking
 
 
 def robot_from_camera_rotation(pitch_radians: float, roll_radians: float) -> NDArray[np.float64]:
@@ -51,4 +54,18 @@ def compose_robot_from_image(
     """Return the (3, 3) homography from undistorted pixels to floor metres."""
     return invert(
         image_from_robot_homography(camera_matrix, height_metres, pitch_radians, roll_radians)
+    )
+
+
+def rocked(calibration: Calibration, rocking: Rocking) -> Calibration:
+    """Return the calibration of one frame, whose camera stood differently by so much."""
+    height = calibration.height_metres + rocking.height_metres
+    pitch = calibration.pitch_radians + rocking.pitch_radians
+    roll = calibration.roll_radians + rocking.roll_radians
+    return replace(
+        calibration,
+        height_metres=height,
+        pitch_radians=pitch,
+        roll_radians=roll,
+        robot_from_image=compose_robot_from_image(calibration.camera_matrix, height, pitch, roll),
     )

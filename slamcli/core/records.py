@@ -382,6 +382,21 @@ class Link:
     kind: LinkKind
 
 
+@dataclass(frozen=True, slots=True)
+class Rocking:
+    """By how much the camera of one frame stood differently from the calibration.
+
+    Attributes
+    ----------
+    pitch_radians, roll_radians : float
+    height_metres : float
+    """
+
+    pitch_radians: float = 0.0
+    roll_radians: float = 0.0
+    height_metres: float = 0.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEstimate:
     """Where the robot was for one frame, or why that is not known.
@@ -407,6 +422,8 @@ class PoseEstimate:
     odom_from_robot : Pose2 or None
         The motions of all frames so far added up: it drifts and never jumps (ROS REP 105), for a
         controller, while `map_from_robot` may be revised. None when lost.
+    rocking : Rocking or None
+        How its camera stood; None for as calibrated.
     """
 
     index: int
@@ -421,6 +438,7 @@ class PoseEstimate:
     score: float = float("nan")
     revised: tuple[int, ...] = field(default=())
     odom_from_robot: Pose2 | None = None
+    rocking: Rocking | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

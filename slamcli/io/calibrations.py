@@ -103,6 +103,26 @@ def load_calibration(path: str | Path) -> Calibration:
     )
 
 
+def load_origin(path: str | Path) -> Origin | None:
+    """Return what a calibration file says it was made from; None where it does not say.
+
+    Raises
+    ------
+    CalibrationError
+    """
+    path = Path(path)
+    ground = _read_document(path, "calibration").get("ground_plane")
+    made_from = ground.get("made_from") if isinstance(ground, dict) else None
+    if not isinstance(made_from, dict) or not {"side_metres", "corners"} <= made_from.keys():
+        return None
+    return Origin(
+        str(made_from.get("photo", "")),
+        str(made_from.get("target", "")),
+        _number(made_from, "side_metres", path),
+        _array(made_from["corners"], "made_from.corners", path).reshape(-1, 2),
+    )
+
+
 def load_intrinsics(path: str | Path) -> Intrinsics:
     """Return the camera of a ROS camera_info YAML file (camera_calibration writes one).
 

@@ -33,6 +33,9 @@ COLUMNS = (
     "sigma_heading",
     "inliers",
     "score",
+    "rocking_pitch",
+    "rocking_roll",
+    "rocking_height",
 )
 
 
@@ -40,8 +43,8 @@ def write_poses(path: Path, estimates: Iterable[PoseEstimate]) -> None:
     """Write one row a frame.
 
     x, y and their sigmas are metres (pixels without a calibration) in the map's axes; heading and
-    its sigma radians, counter-clockwise from the map's x; stamp seconds. What is not known is an
-    empty field.
+    its sigma radians, counter-clockwise from the map's x; stamp seconds; rocking radians and
+    metres. What is not known is an empty field.
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
@@ -63,4 +66,9 @@ def _row(estimate: PoseEstimate) -> list[str]:
         variances = np.diag(covariance_in_map(pose, covariance))
         sigmas = [f"{math.sqrt(value):.3e}" for value in variances]
     score = "" if math.isnan(estimate.score) else f"{estimate.score:.4f}"
-    return [*head, *place, *sigmas, str(estimate.inliers), score]
+    tilt = [""] * 3
+    if estimate.rocking is not None:
+        rocking = estimate.rocking
+        tilt = [f"{rocking.pitch_radians:.7f}", f"{rocking.roll_radians:.7f}"]
+        tilt.append(f"{rocking.height_metres:.6f}")
+    return [*head, *place, *sigmas, str(estimate.inliers), score, *tilt]

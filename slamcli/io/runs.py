@@ -13,12 +13,13 @@ import numpy as np
 
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Calibration, PoseEstimate
+from slamcli.core.records import Calibration, PoseEstimate, Rocking
 from slamcli.io.files import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from slamcli.core.records import Status
     from slamcli.io.tables import Scalar
 
 _NUMBERS = (
@@ -122,9 +123,14 @@ def _placed(path: Path) -> tuple[PoseEstimate, ...]:
             pose = Pose2(float(row["x"]), float(row["y"]), float(row["heading"]))
             stamp = float(row["stamp"]) if row["stamp"] else None
             index, fragment = int(row["index"]), int(row["fragment"])
+            told = [row[name] for name in ("rocking_pitch", "rocking_roll", "rocking_height")]
+            rocking = Rocking(*map(float, told)) if all(told) else None
         except (KeyError, ValueError, TypeError) as error:
             raise InputError(f"{path}, line {number}: not a row of poses ({error})") from error
-        found.append(PoseEstimate(index, row["frame"], stamp, pose, "tracked", "", fragment))
+        status: Status = "predicted" if row.get("status") == "predicted" else "tracked"
+        found.append(
+            PoseEstimate(index, row["frame"], stamp, pose, status, "", fragment, rocking=rocking)
+        )
     if not found:
         raise InputError(f"{path} has no placed frame; there is nothing to paint")
     return tuple(found)

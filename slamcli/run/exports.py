@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from slamcli.io.frames import FrameFile
     from slamcli.io.tables import Scalar
     from slamcli.mapper import Mapper
+    from slamcli.refine import Registration
 
 PRODUCTS = ("trajectory*.tum", "trajectory*.kitti", "graph*.g2o", "track.geojson", "links.csv")
 
@@ -40,25 +41,25 @@ def check_exports(kinds: Sequence[str], files: Sequence[FrameFile], *, has_gps: 
         raise InputError("--export geojson needs --gps, which tells where on Earth the track is")
 
 
-def write_exports(folder: Path, kinds: Sequence[str], mapper: Mapper) -> None:
+def write_exports(folder: Path, kinds: Sequence[str], found: Registration, mapper: Mapper) -> None:
     """Write what was asked for, a file a fragment, or one for all."""
-    fragments = placed_fragments(mapper.estimates)
-    off = mapper.switched_off
-    links = [link for number, link in enumerate(mapper.links) if number not in off]
-    links += mapper.senses.chain(mapper.estimates)
+    fragments = placed_fragments(found.estimates)
+    off = found.switched_off
+    links = [link for number, link in enumerate(found.links) if number not in off]
+    links += mapper.senses.chain(found.estimates)
     for fragment, members in fragments.items():
         suffix = "" if fragment == 0 else f"_{fragment}"
         for kind in kinds:
             if kind in EXPORTS:
                 EXPORTS[kind](folder, suffix, members, links)
     if "links" in kinds:
-        write_links(folder / "links.csv", mapper.links, off)
+        write_links(folder / "links.csv", found.links, off)
     if "geojson" in kinds:
         tracks = {}
-        for fragment, found in mapper.georeferences.items():
+        for fragment, on_earth in mapper.georeferences.items():
             poses = pose_array(list(_poses(fragments[fragment]).values()))
-            places = found.east_north_from_map.apply(poses[:, :2])
-            tracks[fragment] = LocalPlane(found.datum_degrees).geodetic(places)
+            places = on_earth.east_north_from_map.apply(poses[:, :2])
+            tracks[fragment] = LocalPlane(on_earth.datum_degrees).geodetic(places)
         write_geojson(folder / "track.geojson", tracks)
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Pose2
+from slamcli.core.mounting import rocked
 from slamcli.core.records import Shot
 from slamcli.graph import placed_fragments
 from slamcli.io.frames import read_frame, read_reduced_gray
@@ -66,29 +67,6 @@ class Scene:
     map_from_painted: Pose2
 
 
-def make_scene(
-    calibration: Calibration,
-    files: Sequence[FrameFile],
-    poses: Sequence[Pose2],
-    calibrations: Sequence[Calibration] | None,
-    turn_radians: float,
-) -> Scene:
-    """Return frames with their poses, turned as the map is to be.
-
-    Parameters
-    ----------
-    calibrations : sequence of Calibration or None
-        Of each frame, where they differ.
-    """
-    own = calibrations or [calibration] * len(files)
-    turn = Pose2(0.0, 0.0, turn_radians)
-    shots = tuple(
-        Shot(file.index, turn @ pose if turn_radians else pose, one)
-        for file, pose, one in zip(files, poses, own, strict=True)
-    )
-    return Scene(calibration, tuple(files), shots, turn.inverse())
-
-
 def scenes_of(
     calibration: Calibration,
     estimates: Sequence[PoseEstimate],
@@ -102,8 +80,18 @@ def scenes_of(
     scenes = []
     for members in placed_fragments(estimates).values():
         seen = [estimate for estimate in members if estimate.status == "tracked"]
-        poses = [e.map_from_robot for e in seen if e.map_from_robot is not None]
-        scene = make_scene(calibration, [file_of(e) for e in seen], poses, None, turn_radians)
+        turn = Pose2(0.0, 0.0, turn_radians)
+        shots = tuple(
+            Shot(
+                e.index,
+                turn @ e.map_from_robot if turn_radians else e.map_from_robot,
+                calibration if e.rocking is None else rocked(calibration, e.rocking),
+            )
+            for e in seen
+            if e.map_from_robot is not None
+        )
+        files = tuple(file_of(estimate) for estimate in seen)
+        scene = Scene(calibration, files, shots, turn.inverse())
         scenes.append((scene, turned(members, scene)))
     return scenes
 

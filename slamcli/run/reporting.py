@@ -11,6 +11,7 @@ from slamcli.graph import placed_fragments
 from slamcli.io import runs, tables
 from slamcli.run import exports
 from slamcli.run.networks import LEARNED
+from slamcli.run.refinement import describe, run_section
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
     from slamcli.core.records import PoseEstimate
     from slamcli.mapper import Mapper
+    from slamcli.refine import Refinement
     from slamcli.run.inputs import Inputs
     from slamcli.run.stitch import StitchOptions
     from slamcli.run.telemetry import TelemetryFiles
@@ -42,6 +44,7 @@ def write_run(
     files: TelemetryFiles,
     estimates: Sequence[PoseEstimate],
     mapper: Mapper,
+    refined: Refinement | None,
 ) -> None:
     """Write run.toml: what was told, and what came of it."""
     sections: dict[str, dict[str, tables.Scalar]] = {
@@ -72,6 +75,8 @@ def write_run(
     for fragment, georeference in mapper.georeferences.items():
         name = "georeference" if fragment == 0 else f"georeference_{fragment}"
         sections[name] = exports.georeference_table(georeference)
+    if refined is not None:
+        sections["self_calibration"] = run_section(refined)
     tables.write_toml(path, sections)
 
 
@@ -83,6 +88,7 @@ def report(
     seconds: float,
     output: Path,
     time_offset: str,
+    refined: Refinement | None,
     *,
     interrupted: bool,
 ) -> StitchReport:
@@ -114,6 +120,7 @@ def report(
     if interrupted:
         lines.append("interrupted: written is what there was; --resume goes on from there")
     lines += [f"{name:<12} {value}" for name, value in rows]
+    lines += [] if refined is None else describe(refined)
     code = _INTERRUPTED if interrupted else 0 if placed else 1
     return StitchReport(tuple(lines), code)
 

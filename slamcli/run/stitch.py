@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 from slamcli import __version__
 from slamcli.core.config import ProductOptions
-from slamcli.core.errors import FrameError
-from slamcli.core.records import PoseEstimate, Prepared
+from slamcli.core.errors import InputError
+from slamcli.core.records import PoseEstimate
 from slamcli.core.telemetry import TelemetryOptions
+from slamcli.io.calibrations import save_calibration
 from slamcli.io.checkpoints import Checkpoint, run_key
 from slamcli.io.files import move_folder, output_folder, remove_folder
-from slamcli.io.frames import read_frame
 from slamcli.io.maps import MAP_NAME, save_map
 from slamcli.io.poses import write_poses
 from slamcli.mapper import Mapper
@@ -30,6 +30,7 @@ from slamcli.run.networks import (
     with_point_network,
 )
 from slamcli.run.painting import scenes_of
+from slamcli.run.refinement import read_and_prepare, registration_of, self_calibrate
 from slamcli.run.telemetry import Telemetry, TelemetryFiles, feed, feed_shifted, read_telemetry
 from slamcli.run.trials import draw_trials
 
@@ -38,13 +39,19 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from slamcli.core.config import MapperOptions
-    from slamcli.io.frames import FrameFile
     from slamcli.run.executor import Progress
     from slamcli.run.inputs import Inputs
     from slamcli.run.interruption import Interruption
     from slamcli.run.reporting import StitchReport
 
-PRODUCTS = ("poses.csv", "run.toml", MAP_NAME, *products.PRODUCTS, *exports.PRODUCTS)
+PRODUCTS = (
+    "poses.csv",
+    "run.toml",
+    "calibration.yaml",
+    MAP_NAME,
+    *products.PRODUCTS,
+    *exports.PRODUCTS,
+)
 DEBUG_PRODUCTS = "matches"
 # A state is kept so often, and takes at most this share of the time.
 _SAVE_SECONDS, _SAVE_SHARE = 5.0, 0.05
@@ -65,6 +72,8 @@ class StitchOptions:
         Overrides the calibration's far limit.
     frame_rate : float or None
         Frames per second, for stamps.
+    self_calibrate : bool
+        Refine the camera by the frames themselves, where they determine it.
     debug : bool
         Also draw every frame's matches.
     export : tuple of str
@@ -81,6 +90,7 @@ class StitchOptions:
     products: ProductOptions = field(default_factory=ProductOptions)
     max_range_metres: float | None = None
     frame_rate: float | None = None
+    self_calibrate: bool = False
     debug: bool = False
     export: tuple[str, ...] = ()
     resume: bool = False
@@ -110,6 +120,11 @@ def stitch(
     readings = read_telemetry(files, inputs)
     exports.check_exports(options.export, inputs.files, has_gps=bool(readings.gps))
     products.check_formats(options.products)
+    if options.self_calibrate and (files.odometry or files.compass or files.gps):
+        raise InputError(
+            "--self-calibrate works by the frames alone; refine the camera first "
+            "(slam calibrate --refine), then give what comes of it with the other senses"
+        )
     new = Mapper(inputs.calibration, _with_networks(options), options.telemetry)
     if not readings.find_time_offset:
         feed(new, readings)
@@ -121,7 +136,14 @@ def stitch(
     ):
         mapper = _begin(new, inputs, options, files, checkpoint, tell)
         note = _locate(mapper, inputs, options, readings, checkpoint, progress, interruption)
-        estimates = [*mapper.estimates, *_not_reached(inputs, mapper)]
+        found, refined = registration_of(mapper), None
+        if options.self_calibrate and not interruption.happened:
+            resolved = mapper.options
+            refined = self_calibrate(inputs, found, resolved, options.workers, progress)
+            found = refined.registration
+            inputs = replace(inputs, calibration=found.calibration)
+            save_calibration(staging / "calibration.yaml", found.calibration)
+        estimates = [*found.estimates, *_not_reached(inputs, mapper)]
         scenes = scenes_of(
             inputs.calibration,
             estimates,
@@ -142,13 +164,12 @@ def stitch(
         )
         remove_folder(unfinished)
         write_poses(staging / "poses.csv", estimates)
-        floor_map = mapper.floor_map()
-        if floor_map is not None and options.mapper.features.method not in LEARNED:
-            save_map(staging / MAP_NAME, floor_map)
+        if found.floor_map is not None and options.mapper.features.method not in LEARNED:
+            save_map(staging / MAP_NAME, found.floor_map)
         seconds = time.monotonic() - started
-        exports.write_exports(staging, options.export, mapper)
+        exports.write_exports(staging, options.export, found, mapper)
         reporting.write_run(
-            staging / "run.toml", sources, inputs, options, files, estimates, mapper
+            staging / "run.toml", sources, inputs, options, files, estimates, mapper, refined
         )
         move_folder(checkpoint.drawings, staging / DEBUG_PRODUCTS)
         if interruption.happened:
@@ -161,6 +182,7 @@ def stitch(
         seconds,
         output,
         note,
+        refined,
         interrupted=interruption.happened,
     )
 
@@ -213,7 +235,7 @@ def _locate(
     Returns the clocks' offset, in words, if it was to be found.
     """
     total, first = len(inputs.files), len(mapper.estimates)
-    work = partial(_read_and_prepare, mapper)
+    work = partial(read_and_prepare, mapper)
     pace = _Pace()
     prepared_frames = ordered(work, inputs.files[first:], options.workers)
     for done, prepared in enumerate(prepared_frames, start=first + 1):
@@ -254,10 +276,3 @@ class _Pace:
         save()
         self._last = time.monotonic()
         self._wait = max(_SAVE_SECONDS, (self._last - started) / _SAVE_SHARE)
-
-
-def _read_and_prepare(mapper: Mapper, file: FrameFile) -> Prepared:
-    try:
-        return mapper.prepare(read_frame(file))
-    except FrameError as error:
-        return Prepared(file.index, file.name, file.stamp, None, None, str(error))

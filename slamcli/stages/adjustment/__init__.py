@@ -1,0 +1,37 @@
+"""Camera, poses and each frame's rocking from what overlapping frames both see.
+
+`patches` finds the same spots of the floor in two pictures, `solver` the camera and the poses that
+explain them, `projection` carries pixels from frame to frame for both.
+"""
+
+from slamcli.stages.adjustment.patches import (
+    DEEPEST_LEVEL,
+    Matches,
+    Pyramid,
+    choose_points,
+    make_pyramid,
+    track,
+)
+from slamcli.stages.adjustment.projection import View, changed, transfer
+from slamcli.stages.adjustment.solver import (
+    FIRST_ROCKING,
+    Adjustment,
+    adjust,
+    residual_lengths,
+)
+
+__all__ = [
+    "DEEPEST_LEVEL",
+    "FIRST_ROCKING",
+    "Adjustment",
+    "Matches",
+    "Pyramid",
+    "View",
+    "adjust",
+    "changed",
+    "choose_points",
+    "make_pyramid",
+    "residual_lengths",
+    "track",
+    "transfer",
+]
