@@ -372,12 +372,36 @@ class Mapper:
             start = self._graph.pose(before.index)
             self._motion = start.inverse() @ self._graph.pose(prepared.index)
             self._moved_at = prepared.index
-        self._stray = None
+        stray, self._stray = self._stray, None
         overlap = max(trial.overlap for trial in believed)
         if overlap < self.options.keyframe_overlap or links[0].kind == "loop":
             self._add_keyframe(prepared)
-            return self._rejoin(prepared)
+            estimate = self._rejoin(prepared)
+        if stray is not None and not self._graph.is_placed(stray.index):
+            return self._look_back(prepared, stray)
         return estimate
+
+    def _look_back(self, prepared: Prepared, stray: Prepared) -> PoseEstimate:
+        """Try the latest lost frame beside the one after it, which shows more of the same floor."""
+        trial = self._try(prepared, stray, window=self._window_back(prepared, stray))
+        self._trials.append(trial)
+        if trial.link is None:
+            return self._graph[prepared.index]
+        self._graph.place(stray, [trial.link])
+        return self._graph.revise(prepared.index, (stray.index,))
+
+    def _window_back(self, prepared: Prepared, stray: Prepared) -> dense.Window | None:
+        """Return where a lost frame may lie for a later one: between it and the one before."""
+        before = self._graph.get(stray.index - 1)
+        here = self._graph[prepared.index]
+        if before is None or before.fragment != here.fragment or before.map_from_robot is None:
+            return self._unguided(stray, prepared)
+        way = self._graph.pose(prepared.index).inverse() @ before.map_from_robot
+        share = (prepared.index - stray.index) / (prepared.index - before.index)
+        near = Pose2(share * way.x, share * way.y, share * way.theta)
+        radius = self.options.search_share_of_range * self.calibration.max_range_metres
+        angle = math.radians(self.options.search_angle_degrees)
+        return dense.Window(near, angle, radius + share * way.translation_length)
 
     def _rejoin(self, keyframe: Prepared) -> PoseEstimate:
         """Tie a new keyframe to a map that it was apart from, if it recalls one."""
