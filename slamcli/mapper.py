@@ -162,12 +162,15 @@ class Mapper:
                 far_levels = dense.make_levels(
                     view.make_view(frame, self._far_resampler, gray=True)
                 )
+            alike = dense.repeats(levels[-1])
         except FrameError as error:
             return Prepared(frame.index, frame.name, frame.stamp, None, None, str(error))
         except (cv2.error, ValueError, TypeError) as error:
             reason = f"cannot be processed: {' '.join(str(error).split())}"
             return Prepared(frame.index, frame.name, frame.stamp, None, None, reason)
-        return Prepared(frame.index, frame.name, frame.stamp, seen, found, "", levels, far_levels)
+        return Prepared(
+            frame.index, frame.name, frame.stamp, seen, found, "", levels, far_levels, alike
+        )
 
     def step(self, prepared: Prepared) -> PoseEstimate:
         """Place one prepared frame; frames come in order, and an index that came before is refused.

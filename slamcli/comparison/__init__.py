@@ -99,7 +99,7 @@ def compare(
         )
         if not options.dense or belief.convincing(alignment, by_features, options):
             doubt = belief.implausible(by_features, options, beside_features=options.dense)
-            return case.trial(by_features, doubt)
+            return case.trial(by_features, doubt or case.repeats(near, by_features))
     if not ask_pixels:
         return case.trial(by_features, alignment.reason or belief.few(alignment, options))
     if guess is not None:
@@ -144,7 +144,7 @@ class _Case:
                 None, self.alignment.reason or "the pixels show no motion", 1.0, found
             )
         best = fits[0]
-        rival = fits[1].evidence / best.evidence if len(fits) > 1 and best.evidence > 0 else 0.0
+        rival = self._rival(pair, best, fits[1:])
         differs = by_features is not None and not hypotheses.same(by_features.pose, best.pose, pair)
         backed = (
             by_features is not None and not differs and belief.backing(self.alignment, self.options)
@@ -155,10 +155,30 @@ class _Case:
         if not doubt and differs and belief.many(self.alignment, self.options):
             doubt = "the pixels speak for another motion than the features do"
         if not doubt:
-            doubt = belief.ambiguous(rival, self.options)
+            doubt = belief.ambiguous(rival, self.options) or self.repeats(pair, best)
         if not doubt and not backed:
             doubt = belief.undetermined(best, self.calibration.max_range_metres, self.options)
         return self.trial(best, doubt, rival, found)
+
+    def _rival(self, pair: Pair, best: Hypothesis, others: list[Hypothesis]) -> float:
+        """Return the evidence of the strongest motion that the best does not stand out from."""
+        for other in others:
+            share = other.evidence / best.evidence if best.evidence > 0 else 1.0
+            if share <= self.options.max_rival_evidence:
+                return share
+            if not hypotheses.stands_out(pair, best, other):
+                return share
+        return 0.0
+
+    def repeats(self, near: Pair, fit: Hypothesis) -> str:
+        """Return why a floor that repeats leaves a fit open, or nothing."""
+        if near.far or not len(self.prepared.repeats):
+            return ""
+        rivals = hypotheses.repeated(
+            near, fit, self.prepared.repeats, self.calibration, self.options
+        )
+        like = [rival for rival in rivals if not hypotheses.stands_out(near, fit, rival)]
+        return belief.repeating(fit, like, self.options) if like else ""
 
     def trial(
         self,

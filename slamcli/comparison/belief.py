@@ -109,6 +109,15 @@ def ambiguous(rival: float, options: MapperOptions) -> str:
     )
 
 
+def repeating(fit: Hypothesis, like: list[Hypothesis], options: MapperOptions) -> str:
+    """Return why a motion is not singled out on a floor that repeats, given those it is like."""
+    for other in like:
+        if other.evidence > options.max_rival_evidence * fit.evidence:
+            apart = (fit.pose.inverse() @ other.pose).translation_length
+            return f"ambiguous: the floor repeats, and {apart:.2g} farther on it fits as well"
+    return ""
+
+
 def undetermined(fit: Hypothesis, range_metres: float, options: MapperOptions) -> str:
     """Return why a motion is not known in every direction."""
     if fit.covariance is None:

@@ -143,6 +143,24 @@ def search(
     return Search(tuple(found), np.asarray(surface, np.float32), a.metres_per_pixel)
 
 
+def autocorrelation(level: DenseLevel) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return how a view correlates with itself, shifted, and which share of it both then see.
+
+    Two pictures of equal shape, no shift in their middle, pixel (rows // 2, columns // 2).
+    """
+    values, weight = level.normalised, _weight(level)
+    height, width = values.shape
+    shape = fft.next_fast_len(2 * height, real=True), fft.next_fast_len(2 * width, real=True)
+    spectra = _transforms(values, weight, shape)
+    energy = _energy(values, weight)
+    correlation, pixels = _correlate(spectra, spectra, (energy, energy), shape)
+    whole = max(float(weight.sum()), 1.0)
+    return (
+        np.asarray(np.fft.fftshift(correlation), np.float32),
+        np.asarray(np.fft.fftshift(pixels) / whole, np.float32),
+    )
+
+
 def evidence(
     a: DenseLevel, b: DenseLevel, a_from_b: Pose2, view_a_from_view_b: NDArray[np.float64]
 ) -> Candidate:
