@@ -98,8 +98,13 @@ def compare(
             near, alignment.pose, alignment.covariance, calibration, options
         )
         if not options.dense or belief.convincing(alignment, by_features, options):
-            doubt = belief.implausible(by_features, options, beside_features=options.dense)
-            return case.trial(by_features, doubt or case.repeats(near, by_features))
+            doubt = belief.implausible(
+                by_features, case.way_metres, options, beside_features=options.dense
+            ) or case.repeats(near, by_features)
+            if not doubt or not ask_pixels:
+                return case.trial(by_features, doubt)
+        if by_features.pose.translation_length > case.way_metres:
+            by_features = None
     if not ask_pixels:
         return case.trial(by_features, alignment.reason or belief.few(alignment, options))
     if guess is not None:
@@ -107,6 +112,7 @@ def compare(
         fits = [fit] if fit.covariance is not None else []
         return case.choose(near, fits, by_features, None)
     assert window is not None
+    window = replace(window, way_metres=case.way_metres)
     found, fits = hypotheses.search(near, window, calibration, options)
     trial = case.choose(near, fits, by_features, found)
     if trial.link is not None or not (keyframe.far_levels and prepared.far_levels):
@@ -127,6 +133,11 @@ class _Case:
     alignment: Alignment
     calibration: Calibration
     options: MapperOptions
+
+    @property
+    def way_metres(self) -> float:
+        """The farthest that the robot may have gone from one frame to the other."""
+        return belief.way_metres(self.keyframe.index, self.prepared.index, self.options)
 
     def choose(
         self,
@@ -149,7 +160,7 @@ class _Case:
         backed = (
             by_features is not None and not differs and belief.backing(self.alignment, self.options)
         )
-        doubt = belief.implausible(best, self.options)
+        doubt = belief.implausible(best, self.way_metres, self.options)
         if not doubt and not backed:
             doubt = belief.unlike(pair, best, self.options)
         if not doubt and differs and belief.many(self.alignment, self.options):
@@ -177,7 +188,12 @@ class _Case:
         rivals = hypotheses.repeated(
             near, fit, self.prepared.repeats, self.calibration, self.options
         )
-        like = [rival for rival in rivals if not hypotheses.stands_out(near, fit, rival)]
+        like = [
+            rival
+            for rival in rivals
+            if rival.pose.translation_length <= self.way_metres
+            and not hypotheses.stands_out(near, fit, rival)
+        ]
         return belief.repeating(fit, like, self.options) if like else ""
 
     def trial(

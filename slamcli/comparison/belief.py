@@ -54,8 +54,19 @@ def few(alignment: Alignment, options: MapperOptions) -> str:
     )
 
 
-def implausible(fit: Hypothesis, options: MapperOptions, *, beside_features: bool = False) -> str:
+def way_metres(first: int, second: int, options: MapperOptions) -> float:
+    """Return the farthest that the robot may have gone between two frames, by their indices."""
+    step = options.max_step_metres
+    return math.inf if step is None else step * max(1, abs(second - first))
+
+
+def implausible(
+    fit: Hypothesis, most_metres: float, options: MapperOptions, *, beside_features: bool = False
+) -> str:
     """Return why a fit is not plausible, or contradicted by the pixels."""
+    way = fit.pose.translation_length
+    if way > most_metres:
+        return f"the fit moves the robot by {way:.3g}; at most {most_metres:.3g} is plausible"
     turn = abs(math.degrees(fit.pose.theta))
     if turn > options.max_turn_degrees:
         return (
