@@ -31,7 +31,7 @@ _EQUAL_SHARE = 0.95
 # the rocking is believed when it leaves less than this share unexplained. On a floor of a few lines
 # a line's end may be brought to fit by a tilt as well as by the motion.
 _STEADY_CORRELATION = 0.95
-_CONTRAST_HANDICAP = 0.03
+_CONTRAST_HANDICAP = 0.0475
 _ROCKING_SHARE = 0.6
 # A robot may rock so much more than its tilt sigma says, where the pixels ask for it.
 _ROCKING_TIMES = 5.0
