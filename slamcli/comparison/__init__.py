@@ -46,6 +46,8 @@ class Trial:
         alone decided.
     search : Search or None
         What the pixels were asked, when they were.
+    confirmed : float
+        Share of the floor's patches that agree with the fit; nan where too few tell.
     """
 
     keyframe: Prepared
@@ -56,6 +58,7 @@ class Trial:
     reason: str = ""
     rival: float = math.nan
     search: dense.Search | None = None
+    confirmed: float = math.nan
 
 
 def compare(
@@ -217,6 +220,15 @@ class _Case:
             )
         overlap = 0.0 if fit is None else fit.agreed.overlap
         reason = "" if link is not None else f"{doubt} (to {self.keyframe.name})"
+        confirmed = math.nan if fit is None else fit.agreed.confirmed
         return Trial(
-            self.keyframe, self.prepared, self.alignment, link, overlap, reason, rival, found
+            self.keyframe,
+            self.prepared,
+            self.alignment,
+            link,
+            overlap,
+            reason,
+            rival,
+            found,
+            confirmed,
         )
