@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from slamcli.comparison import Trial
     from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions, TransformModel
     from slamcli.run.inputs import Inputs
     from slamcli.run.pairs import Fit, Picture
@@ -210,6 +211,7 @@ def _facts(inputs: Inputs, pictures: tuple[Picture, Picture], fit: Fit) -> dict[
             "reason": fit.trial.reason,
             "overlap": fit.trial.overlap,
             "rival": _number(fit.trial.rival),
+            "confirmed_share": _number(fit.trial.confirmed),
         }
     if fit.standing is not None:
         facts["standing"] = {
@@ -276,6 +278,7 @@ def _lines(facts: dict[str, object], fit: Fit) -> list[str]:
             *lines,
             f"correlation {fit.correlation:.3f}, overlap {fit.trial.overlap:.0%}; the next best "
             f"motion explains {fit.trial.rival:.0%} of what this one does",
+            *_patches(fit.trial),
         ]
     lines += [
         f"{alignment.inlier_count} inliers of {len(alignment.matches)} matches "
@@ -325,3 +328,10 @@ def _shown(picture: Picture, marks: Standing | None) -> NDArray[np.uint8]:
         return shown
     cells_from_pixel = marks.cells_from_metres @ picture.view.grid.metres_from_pixel
     return draw_standing(shown, marks.unlike, cells_from_pixel)
+
+
+def _patches(trial: Trial) -> list[str]:
+    """Return how many of the floor's patches agree, in a line, when enough of them tell."""
+    if math.isnan(trial.confirmed):
+        return []
+    return [f"{trial.confirmed:.0%} of the floor's patches agree by themselves"]

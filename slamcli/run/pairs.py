@@ -19,7 +19,7 @@ from slamcli.stages import align, camera, confirm, dense, features, view
 
 if TYPE_CHECKING:
     from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions
-    from slamcli.core.records import Alignment, Calibration, Features, Frame
+    from slamcli.core.records import Alignment, Calibration, DenseLevel, Features, Frame
     from slamcli.io.frames import FrameFile
 
 LEAST_CORRELATION = 0.4
@@ -218,6 +218,26 @@ def _try(
     return Fit(front, alignment, found[0], found[1], correlation, alignment.reason)
 
 
+def _prepared(index: int, picture: Picture, found: Features) -> Prepared:
+    """Return a bird's-eye picture as the mapper would compare it."""
+    levels = dense.make_levels(picture.view)
+    far = view.make_far_resampler(picture.calibration, picture.view.grid.metres_per_pixel)
+    far_levels: tuple[DenseLevel, ...] = ()
+    if far is not None:
+        far_levels = dense.make_levels(view.make_view(picture.frame, far, gray=True))
+    return Prepared(
+        index,
+        picture.frame.name,
+        None,
+        picture.view,
+        found,
+        "",
+        levels,
+        far_levels,
+        dense.repeats(levels[-1]),
+    )
+
+
 def search_pair(first: Picture, second: Picture, fit: Fit) -> Fit:
     """Let the pixels of two bird's-eye views decide where their features did not.
 
@@ -226,17 +246,7 @@ def search_pair(first: Picture, second: Picture, fit: Fit) -> Fit:
     Fit
         Of the motion that the pixels single out, or the given one with what they said.
     """
-    prepared = [
-        Prepared(
-            index,
-            picture.frame.name,
-            None,
-            picture.view,
-            found,
-            levels=dense.make_levels(picture.view),
-        )
-        for index, (picture, found) in enumerate(((first, fit.first), (second, fit.second)))
-    ]
+    prepared = [_prepared(0, first, fit.first), _prepared(1, second, fit.second)]
     options = MapperOptions(max_turn_degrees=180.0)
     trial = compare(
         prepared[0], prepared[1], None, first.calibration, options, window=dense.Window()
