@@ -63,6 +63,7 @@ def write_maps(
     progress: Progress,
     tell: Callable[[str], None],
     interruption: Interruption,
+    scheduler: str = "",
 ) -> float:
     """Paint every connected map and write it as asked; return the floor seen in all, m^2.
 
@@ -75,7 +76,9 @@ def write_maps(
     for number, (scene, estimates) in enumerate(scenes):
         suffix = f"_{number}" if number else ""
         folder = tiles_folder / str(number)
-        store, scale = paint_scene(scene, options, folder, workers, progress, tell, interruption)
+        store, scale = paint_scene(
+            scene, options, folder, workers, progress, tell, interruption, scheduler
+        )
         unit = scene.calibration.unit
         turned = scene.map_from_painted
         grid = write_products(staging, suffix, store, scale, unit, turned, options, workers)
