@@ -54,7 +54,8 @@ class Cluster(Executor):
     @property
     def processors(self) -> int:
         """How many tasks run at once."""
-        return max(1, sum(self._client.nthreads().values()))
+        threads: dict[str, int] = self._client.nthreads()
+        return max(1, sum(threads.values()))
 
 
 @contextmanager
@@ -73,7 +74,9 @@ def connected(address: str) -> Iterator[Cluster]:
         raise InputError("--scheduler needs Dask: pip install slamcli[cluster]") from error
     with dask.config.set(_QUIET):
         try:
-            client = distributed.Client(address, timeout=_CONNECT_SECONDS, set_as_default=False)
+            client: Any = distributed.Client(  # type: ignore[no-untyped-call]
+                address, timeout=_CONNECT_SECONDS, set_as_default=False
+            )
         except (OSError, ValueError) as error:
             raise InputError(
                 f"no Dask scheduler answers at {address}; start one with `dask scheduler`, and "
