@@ -102,8 +102,9 @@ print(wall, used.ru_utime + used.ru_stime, used.ru_maxrss, code)
 
 
 def slam(frames: Path, calibration: Path, output: Path, count: int) -> Outcome:
-    """Map the camera's own pictures."""
+    """Map the camera's own pictures, as coarsely as the peers' views are."""
     command = [*SLAM, "stitch", str(frames), "-c", str(calibration), "-o", str(output)]
+    command += ["--metres-per-pixel", str(VIEW_METRES_PER_PIXEL)]
     outcome, _ = run("slam stitch", command, count)
     rows = list(csv.DictReader((output / "poses.csv").open()))
     placed = sum(bool(row["x"]) for row in rows)

@@ -82,6 +82,7 @@ def main() -> None:
 @options.feature_details
 @options.match_details
 @options.workers
+@options.scheduler
 @options.overwrite
 def stitch(
     frames: tuple[Path, ...],
@@ -113,6 +114,7 @@ def stitch(
         export=told["export"],
         resume=told["resume"],
         workers=workers or default_workers(),
+        scheduler=told["scheduler"],
     )
     if told["dry_run"]:
         from slamcli.run.forecast import forecast

@@ -66,6 +66,14 @@ workers = click.option(
     help="Threads; the result is the same for any number. Default: one a processor.",
 )
 
+scheduler = click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    default="",
+    help="Prepare frames and paint tiles on the workers of this Dask scheduler, such as "
+    "tcp://host:8786; all must find the frames under the same path (needs slamcli[cluster]).",
+)
+
 
 def output(what: str, *, required: bool = False, default: str | None = None) -> Decorator[Any]:
     """Return the -o/--output option; `what` completes "Where ... goes"."""

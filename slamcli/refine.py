@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Rocking
@@ -323,7 +323,7 @@ def _confirmed(calibration: Calibration, survey: _Survey) -> str:
     free = np.diag(found.camera_covariance) > 0.0
     change = found.camera_change[free]
     distance = float(change @ np.linalg.solve(found.camera_covariance[np.ix_(free, free)], change))
-    if distance < chi2.ppf(_SIGNIFICANCE, len(change)):
+    if distance < chdtri(len(change), 1.0 - _SIGNIFICANCE):
         return "what the frames say differs from the calibration by no more than its uncertainty"
     told = [_part(match, held_out=False) for match in survey.matches]
     asked = [_part(match, held_out=True) for match in survey.matches]

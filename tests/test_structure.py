@@ -38,6 +38,8 @@ FLOORS = {
 }
 TOP = max(FLOORS.values())
 ONE_ROOM = {
+    "dask": "run/cluster",
+    "distributed": "run/cluster",
     "gtsam": "stages/posegraph/gtsam_solver",
     "pyproj": "stages/geodesy",
     "rasterio": "io/geotiff",

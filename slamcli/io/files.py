@@ -13,7 +13,7 @@ import cv2
 from slamcli.core.errors import InputError, OutputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     import numpy as np
@@ -22,12 +22,18 @@ if TYPE_CHECKING:
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file whole or not at all; raises OutputError that names it."""
+    write_chunks(path, [data])
+
+
+def write_chunks(path: Path, chunks: Iterable[bytes]) -> None:
+    """Write a file, piece after piece, whole or not at all; raises OutputError that names it."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.")
         try:
             with os.fdopen(handle, "wb") as stream:
-                stream.write(data)
+                for chunk in chunks:
+                    stream.write(chunk)
             # mkstemp makes the file private; a result is as readable as the user's umask allows.
             umask = os.umask(0)
             os.umask(umask)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from slamcli.core.geometry import Pose2
-from slamcli.io.files import write_bytes, write_image, write_text
+from slamcli.io import pngs
+from slamcli.io.files import write_bytes, write_text
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,19 +26,21 @@ _UPRIGHT = Pose2()
 
 
 def write_georeferenced_png(
-    path: Path,
-    image: NDArray[np.uint8],
-    mask: NDArray[np.uint8],
-    grid: Grid,
-    map_from_grid: Pose2 = _UPRIGHT,
+    path: Path, image: NDArray[np.uint8], mask: NDArray[np.uint8], grid: Grid
 ) -> None:
     """Write BGR pixels, transparent where the mask is 0, with an ESRI world file (.pgw) beside.
 
     The world file holds the affine transform from pixel to metres, its origin at the centre of
     the upper left pixel.
     """
-    write_image(path, np.dstack([image, mask]))
-    write_world_file(path.with_suffix(".pgw"), grid, map_from_grid)
+    pngs.write_png(path, grid.width, grid.height, [pngs.compress(transparent(image, mask))])
+    write_world_file(path.with_suffix(".pgw"), grid)
+
+
+def transparent(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return (h, w, 4) BGRA of BGR pixels and a mask."""
+    pixels = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2BGRA), np.uint8)
+    return np.asarray(cv2.insertChannel(mask, pixels, 3), np.uint8)
 
 
 def write_world_file(path: Path, grid: Grid, map_from_grid: Pose2 = _UPRIGHT) -> None:

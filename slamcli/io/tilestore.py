@@ -48,13 +48,17 @@ class StoredTile:
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """Where in a tile something was seen: first and last row and column, and how many pixels."""
+    """Where in a tile something was seen: first and last row and column, and how many pixels.
+
+    And whether anything that is not floor was.
+    """
 
     top: int
     bottom: int
     left: int
     right: int
     seen: int
+    stands: bool
 
 
 class TileStore:
@@ -104,7 +108,7 @@ class TileStore:
             for layer in self.layers:
                 arrays[layer] = _layer(tile, layer)
             np.savez(stream, allow_pickle=False, **arrays)
-            self._entries[row, column] = _entry_of(mask)
+            self._entries[row, column] = _entry_of(mask, stands=tile.standing is not None)
         write_bytes(self._path(row, column), stream.getvalue())
 
     def get(self, row: int, column: int) -> StoredTile | None:
@@ -140,10 +144,7 @@ class TileStore:
 
     def stands(self) -> bool:
         """Tell whether anything that is not floor was found."""
-        return any(
-            tile is not None and tile.standing is not None
-            for tile in (self.get(row, column) for row, column in self.places())
-        )
+        return any(entry is not None and entry.stands for entry in self._entries.values())
 
     def bounds(self) -> tuple[int, int, int, int] | None:
         """Return top, bottom, left and right of what was seen, in the map's pixels, ends excluded.
@@ -228,6 +229,9 @@ def reduced(
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Return a picture and its mask, smaller by a factor: the mean of what was seen."""
     size = (image.shape[1] // factor, image.shape[0] // factor)
+    if mask.all():
+        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        return np.asarray(small, np.uint8), np.full(size[::-1], 255, np.uint8)
     seen = (mask > 0).astype(np.float32)
     share = np.asarray(cv2.resize(seen, size, interpolation=cv2.INTER_AREA), np.float32)
     weighted = image.astype(np.float32) * seen[..., None]
@@ -250,13 +254,12 @@ def _layer(tile: Tile, layer: str) -> NDArray[np.generic]:
 
 
 def _entry(tile: StoredTile | None) -> _Entry | None:
-    return None if tile is None else _entry_of(tile.mask)
+    return None if tile is None else _entry_of(tile.mask, stands=tile.standing is not None)
 
 
-def _entry_of(mask: NDArray[np.uint8]) -> _Entry | None:
+def _entry_of(mask: NDArray[np.uint8], *, stands: bool) -> _Entry | None:
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if rows.size == 0:
         return None
-    return _Entry(
-        int(rows[0]), int(rows[-1]), int(columns[0]), int(columns[-1]), int(np.count_nonzero(mask))
-    )
+    seen = int(np.count_nonzero(mask))
+    return _Entry(int(rows[0]), int(rows[-1]), int(columns[0]), int(columns[-1]), seen, stands)

@@ -1,17 +1,20 @@
-"""Work done ahead of its turn: pure functions on threads, results in order."""
+"""Work done ahead of its turn: pure functions on threads or on a cluster, results in order."""
 
 from __future__ import annotations
 
 import os
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import cv2
 
+from slamcli.run.cluster import connected
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-    from concurrent.futures import Future
+    from concurrent.futures import Executor, Future
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -30,22 +33,35 @@ def default_workers() -> int:
 
 
 def ordered(
-    function: Callable[[Item], Result], items: Iterable[Item], workers: int
+    function: Callable[[Item], Result], items: Iterable[Item], workers: int, scheduler: str = ""
 ) -> Iterator[Result]:
-    """Yield ``function(item)`` in order, computed at most a few items ahead on `workers` threads.
+    """Yield ``function(item)`` in order, computed at most a few items ahead.
 
     OpenCV's own threads are switched off meanwhile: the frames already fill the processors, and
     results must not depend on how a kernel was split.
+
+    Parameters
+    ----------
+    workers : int
+        Threads.
+    scheduler : str
+        Address of a Dask scheduler, whose workers take the threads' place; function, items and
+        results are then pickled.
+
+    Raises
+    ------
+    InputError
+        When the cluster cannot be reached.
     """
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     pending: deque[Future[Result]] = deque()
     try:
-        with ThreadPoolExecutor(workers) as executor:
+        with _executor(workers, scheduler) as (executor, ahead):
             try:
                 for item in items:
                     pending.append(executor.submit(function, item))
-                    if len(pending) > 2 * workers:
+                    if len(pending) > ahead:
                         yield pending.popleft().result()
                 while pending:
                     yield pending.popleft().result()
@@ -54,3 +70,14 @@ def ordered(
                     future.cancel()
     finally:
         cv2.setNumThreads(before)
+
+
+@contextmanager
+def _executor(workers: int, scheduler: str) -> Iterator[tuple[Executor, int]]:
+    """Yield where to submit work, and how many items to be ahead by."""
+    if scheduler:
+        with connected(scheduler) as cluster:
+            yield cluster, 2 * cluster.processors
+    else:
+        with ThreadPoolExecutor(workers) as threads:
+            yield threads, 2 * workers

@@ -114,6 +114,7 @@ def paint_scene(
     progress: Progress,
     tell: Callable[[str], None],
     interruption: Interruption,
+    scheduler: str = "",
 ) -> tuple[TileStore, float]:
     """Paint a scene's tiles into a folder; those that it already holds are not painted again.
 
@@ -130,7 +131,7 @@ def paint_scene(
     """
     scale = options.paint.metres_per_pixel or camera.default_metres_per_pixel(scene.calibration)
     store = TileStore(folder, tiles.TILE_PIXELS, options.layers)
-    light = _light(scene, workers, progress) if options.paint.gain else None
+    light = _light(scene, workers, progress, scheduler) if options.paint.gain else None
     paint = replace(options.paint, metres_per_pixel=scale)
     painter = Painter(scene.calibration, scale, paint, light)
     plan = [item for item in painter.plan(scene.shots) if _wanted(item[0], scale, options)]
@@ -149,7 +150,7 @@ def paint_scene(
         held = min(most, len(scene.shots))
         tell(estimate(painter, plan, options, held, seconds, workers))
     done = len(plan) - len(left)
-    for (key, _), tile in zip(left, ordered(work, left, workers), strict=False):
+    for (key, _), tile in zip(left, ordered(work, left, workers, scheduler), strict=False):
         store.put(key.row, key.column, tile)
         done += 1
         progress("painting", done, len(plan))
@@ -224,13 +225,13 @@ def cropped(grid: Grid, crop: tuple[float, float, float, float]) -> Grid:
     return grid.window(left, top, right - left, bottom - top)
 
 
-def _light(scene: Scene, workers: int, progress: Progress) -> Exposure:
+def _light(scene: Scene, workers: int, progress: Progress, scheduler: str) -> Exposure:
     hull = camera.footprint_hull(scene.calibration)
     step = exposure.comparison_step(scene.calibration)
     work = partial(_observe, hull, step)
     observations = []
     jobs = list(zip(scene.files, scene.shots, strict=True))
-    for done, one in enumerate(ordered(work, jobs, workers), start=1):
+    for done, one in enumerate(ordered(work, jobs, workers, scheduler), start=1):
         observations.append(one)
         progress("comparing light", done, len(jobs))
     return exposure.solve(observations)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Pictures:
-    """The pictures last used; may be shared by threads.
+    """The pictures last used; may be shared by threads, and starts anew in another process.
 
     Parameters
     ----------
@@ -29,6 +29,9 @@ class Pictures:
         self._most = max(1, most)
         self._lock = Lock()
         self._kept: OrderedDict[int, Future[Picture]] = OrderedDict()
+
+    def __reduce__(self) -> tuple[type[Pictures], tuple[Callable[[int], Picture], int]]:
+        return Pictures, (self._make, self._most)
 
     def __call__(self, number: int) -> Picture:
         """Return a picture, made now or kept from before."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import cv2
@@ -9,9 +10,10 @@ import numpy as np
 
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Grid, Pose2
-from slamcli.io import deepzoom, geotiff, rasters
+from slamcli.io import deepzoom, geotiff, pngs, rasters
 from slamcli.io.files import write_image
 from slamcli.io.tilestore import put_part
+from slamcli.run.executor import ordered
 from slamcli.run.painting import check_png, check_scene, cropped, paint_scene
 from slamcli.stages.draw.trajectory import draw_trajectory
 from slamcli.stages.mosaic import obstacles, tiles
@@ -61,6 +63,7 @@ def write_maps(
     progress: Progress,
     tell: Callable[[str], None],
     interruption: Interruption,
+    scheduler: str = "",
 ) -> float:
     """Paint every connected map and write it as asked; return the floor seen in all, m^2.
 
@@ -73,9 +76,12 @@ def write_maps(
     for number, (scene, estimates) in enumerate(scenes):
         suffix = f"_{number}" if number else ""
         folder = tiles_folder / str(number)
-        store, scale = paint_scene(scene, options, folder, workers, progress, tell, interruption)
+        store, scale = paint_scene(
+            scene, options, folder, workers, progress, tell, interruption, scheduler
+        )
         unit = scene.calibration.unit
-        grid = write_products(staging, suffix, store, scale, unit, scene.map_from_painted, options)
+        turned = scene.map_from_painted
+        grid = write_products(staging, suffix, store, scale, unit, turned, options, workers)
         if grid is not None:
             area += store.seen_pixels() * scale**2
             image, mask, small = overview(store, grid)
@@ -98,6 +104,7 @@ def write_products(
     unit: Unit,
     map_from_painted: Pose2,
     options: ProductOptions,
+    workers: int,
 ) -> Grid | None:
     """Write a painted map in every format asked for; return its grid, None when it is empty."""
     grid = _extent(store, metres_per_pixel, options)
@@ -105,7 +112,7 @@ def write_products(
         return None
     check_png(grid, options)
     for name in options.formats:
-        FORMATS[name](_Map(folder, suffix, store, grid, unit, map_from_painted, options))
+        FORMATS[name](_Map(folder, suffix, store, grid, unit, map_from_painted, options, workers))
     return grid
 
 
@@ -135,35 +142,57 @@ class _Map:
         unit: Unit,
         map_from_painted: Pose2,
         options: ProductOptions,
+        workers: int,
     ) -> None:
         self.folder, self.suffix, self.store, self.grid = folder, suffix, store, grid
         self.unit, self.map_from_painted, self.options = unit, map_from_painted, options
+        self.workers = workers
 
     def path(self, stem: str, ending: str) -> Path:
         return self.folder / f"{stem}{self.suffix}{ending}"
 
 
 def _write_png(what: _Map) -> None:
-    image, mask = what.store.flatten(what.grid)
     path = what.path("mosaic", ".png")
-    rasters.write_georeferenced_png(path, image, mask, what.grid, what.map_from_painted)
+    _write_strips(what, path, _floor_strip)
     rasters.write_nav2_map(
         what.path("mosaic", ".yaml"), path.name, what.grid, what.unit, what.map_from_painted
     )
-    del image, mask
     if what.store.stands():
-        layer = np.zeros((what.grid.height, what.grid.width, 4), np.uint8)
-        for row, column, tile in what.store.tiles(what.grid):
-            if tile.standing is not None:
-                put_part(layer, tile.standing, row, column)
-        write_image(what.path("standing", ".png"), layer)
-        rasters.write_world_file(what.path("standing", ".pgw"), what.grid, what.map_from_painted)
+        _write_strips(what, what.path("standing", ".png"), _standing_strip)
     for name in what.options.layers:
         pixels = np.zeros((what.grid.height, what.grid.width), np.uint16)
         for row, column, tile in what.store.tiles(what.grid):
             put_part(pixels, _deep_gray(name, tile.layers[name]), row, column)
         write_image(what.path(name, ".png"), pixels)  # type: ignore[arg-type]
         rasters.write_world_file(what.path(name, ".pgw"), what.grid, what.map_from_painted)
+
+
+def _write_strips(what: _Map, path: Path, strip: Callable[[TileStore, Grid], pngs.Strip]) -> None:
+    grid, side = what.grid, tiles.TILE_PIXELS
+    # Cut where tiles end, so that none is read twice.
+    first = side - round(-grid.y_max / grid.metres_per_pixel) % side
+    starts = [0, *range(first, grid.height, side)]
+    ends = [*starts[1:], grid.height]
+    parts = [
+        grid.window(0, start, grid.width, end - start)
+        for start, end in zip(starts, ends, strict=True)
+    ]
+    work = partial(strip, what.store)
+    pngs.write_png(path, grid.width, grid.height, ordered(work, parts, what.workers))
+    rasters.write_world_file(path.with_suffix(".pgw"), grid, what.map_from_painted)
+
+
+def _floor_strip(store: TileStore, grid: Grid) -> pngs.Strip:
+    return pngs.compress(rasters.transparent(*store.flatten(grid)))
+
+
+def _standing_strip(store: TileStore, grid: Grid) -> pngs.Strip:
+    layer = np.zeros((grid.height, grid.width, 4), np.uint8)
+    for row, column, tile in store.tiles(grid):
+        if tile.standing is not None:
+            put_part(layer, tile.standing, row, column)
+    return pngs.compress(layer)
 
 
 def _write_geotiff(what: _Map) -> None:
@@ -184,7 +213,7 @@ def _write_geotiff(what: _Map) -> None:
         path = what.path(stem, ".tif")
         geotiff.write_geotiff(path, shape, bands, kind, blocks, transform, datum, nodata)
 
-    write("mosaic", 4, "uint8", lambda tile: np.dstack([tile.image, tile.mask]), None)
+    write("mosaic", 4, "uint8", lambda tile: rasters.transparent(tile.image, tile.mask), None)
     if what.store.stands():
         write("standing", 4, "uint8", lambda tile: tile.standing, None)
     for name in what.options.layers:
@@ -203,7 +232,7 @@ def _write_deep_zoom(what: _Map) -> None:
 
     def cut() -> Iterator[tuple[int, int, NDArray[np.uint8]]]:
         for row, column, tile in what.store.tiles(aligned):
-            pixels = np.dstack([tile.image, tile.mask])
+            pixels = rasters.transparent(tile.image, tile.mask)
             if what.options.crop is not None:
                 outside = np.ones(pixels.shape[:2], np.bool_)
                 inside = np.zeros((grid.height, grid.width), np.bool_)

@@ -82,6 +82,9 @@ class StitchOptions:
         Go on with what an earlier run of the same kind, cut off, has left.
     workers : int
         Threads.
+    scheduler : str
+        Address of a Dask scheduler whose workers prepare frames and paint tiles instead; empty for
+        none.
     """
 
     mapper: MapperOptions
@@ -95,6 +98,7 @@ class StitchOptions:
     export: tuple[str, ...] = ()
     resume: bool = False
     workers: int = 1
+    scheduler: str = ""
 
 
 def stitch(
@@ -116,6 +120,10 @@ def stitch(
     """
     started = time.monotonic()
     inputs = open_inputs(sources, calibration_path, options.frame_rate, options.max_range_metres)
+    if options.scheduler:
+        # Workers stand in folders of their own.
+        found_at = [replace(file, path=file.path.resolve()) for file in inputs.files]
+        inputs = replace(inputs, files=found_at)
     files = telemetry or TelemetryFiles()
     readings = read_telemetry(files, inputs)
     exports.check_exports(options.export, inputs.files, has_gps=bool(readings.gps))
@@ -161,6 +169,7 @@ def stitch(
             progress,
             tell,
             interruption,
+            options.scheduler,
         )
         remove_folder(unfinished)
         write_poses(staging / "poses.csv", estimates)
@@ -200,7 +209,7 @@ def _begin(
     paths = [file.path for file in inputs.files]
     others = (inputs.calibration_path, files.odometry, files.compass, files.gps)
     paths += [path for path in others if path is not None]
-    plain = replace(options, resume=False, workers=1)
+    plain = replace(options, resume=False, workers=1, scheduler="")
     if checkpoint.open(run_key(f"{__version__} {plain!r}", paths), resume=options.resume):
         mapper = checkpoint.load()
         if isinstance(mapper, Mapper):
@@ -237,7 +246,7 @@ def _locate(
     total, first = len(inputs.files), len(mapper.estimates)
     work = partial(read_and_prepare, mapper)
     pace = _Pace()
-    prepared_frames = ordered(work, inputs.files[first:], options.workers)
+    prepared_frames = ordered(work, inputs.files[first:], options.workers, options.scheduler)
     for done, prepared in enumerate(prepared_frames, start=first + 1):
         mapper.step(prepared)
         if options.debug:

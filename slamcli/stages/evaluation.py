@@ -10,7 +10,7 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2, compose_poses, relative_poses
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from slamcli.core.trajectory import Trajectory
 
-_BOUND_95 = float(chi2.ppf(0.95, 3))
+_BOUND_95 = float(chdtri(3, 0.05))
 
 
 def evaluate(

@@ -44,7 +44,8 @@ def _detect_orb(picture: Picture, options: FeatureOptions) -> Keypoints:
     if len(found) < options.count and options.min_fast_threshold < options.fast_threshold:
         orb = _orb(options, levels, options.min_fast_threshold)
         found = orb.detect(picture.gray, picture.allowed)
-    scales = [_orb_scale(options, point.octave) for point in found]
+    scale_of = [_orb_scale(options, octave) for octave in range(levels)]
+    scales = [scale_of[point.octave] for point in found]
     chosen = [found[index] for index in _choose(picture, found, scales, options)]
     if options.upright:
         chosen = _upright(chosen)
@@ -177,7 +178,7 @@ def _choose(
     options: FeatureOptions,
 ) -> list[int]:
     """Return which of OpenCV's points to keep."""
-    pixels = np.array([point.pt for point in found]).reshape(-1, 2)
+    pixels = np.asarray(cv2.KeyPoint.convert(found), np.float64).reshape(-1, 2)
     responses = np.array([point.response for point in found], np.float32)
     kept = choose(picture, pixels, responses, np.array(scales), options)
     return [int(index) for index in kept]

@@ -112,8 +112,8 @@ def blend_best(views: Views) -> Blended:
         read = views.read(int(number), window)
         alpha = _takeover(own, window) * (read.weight > 0)
         part = _pixels(window)
-        colour = read.image.astype(np.float32) + _enlarged(slow[number], window)
-        total[part] += alpha[..., None] * colour
+        colour = cv2.add(read.image, _enlarged(slow[number], window), dtype=cv2.CV_32F)
+        cv2.accumulateProduct(np.asarray(colour), _tripled(alpha), total[part])
         share[part] += alpha
         np.maximum(sharpness[part], read.sharpness, out=sharpness[part], where=alpha > 0)
     return Blended(_divided(total, share), np.where(share > 0, sharpness, np.float32(0.0)))
@@ -252,7 +252,8 @@ def _mean(views: Views, measure: Callable[[NDArray[np.float32]], NDArray[np.floa
     sharpness = np.zeros_like(share)
     for number, part, read in _reads(views):
         weight = measure(_cleared(views, number, part, read))
-        total[_pixels(part)] += weight[..., None] * read.image
+        colour = read.image.astype(np.float32)
+        cv2.accumulateProduct(colour, _tripled(weight), total[_pixels(part)])
         share[_pixels(part)] += weight
         here = sharpness[_pixels(part)]
         np.maximum(here, read.sharpness, out=here, where=weight > 0)
@@ -335,8 +336,13 @@ def _enlarged(cells: NDArray[np.float32], window: Window) -> NDArray[np.float32]
 
 
 def _divided(total: NDArray[np.float32], share: NDArray[np.float32]) -> NDArray[np.uint8]:
-    mean = total / np.maximum(share, np.float32(1e-9))[..., None]
-    return np.asarray(np.clip(np.rint(mean), 0, 255), np.uint8)
+    divisor = np.maximum(share, np.float32(1e-9))
+    return np.asarray(cv2.divide(total, _tripled(divisor), dtype=cv2.CV_8U), np.uint8)
+
+
+def _tripled(plane: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return (h, w, 3): numpy spreads over so short an axis slowly."""
+    return np.asarray(cv2.merge([plane] * 3), np.float32)
 
 
 def _pyramid(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # A true factor errs by more than the threshold once in ten thousand; a false one mostly by far. One
 # threshold for all, as for three numbers.
 INLIER_PROBABILITY = 0.9999
-THRESHOLD = float(chi2.ppf(INLIER_PROBABILITY, 3))
+THRESHOLD = float(chdtri(3, 1.0 - INLIER_PROBABILITY))
 _MOST_STEPS = 50
 _SMALLEST_GAIN = 1e-10
 _FIRST_DAMPING = 1e-6

@@ -1,0 +1,99 @@
+"""A PNG written a strip of rows at a time: strips are compressed on any thread, none is kept.
+
+One call of OpenCV's encoder needs the whole picture in memory and one processor; for a map it takes
+longer than painting it. By the PNG specification (W3C, third edition), and RFC 1950 and 1951.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slamcli.io.files import write_chunks
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_TRUE_COLOUR_WITH_ALPHA = 6
+_NO_FILTER, _UP = 0, 2
+# On floor, level 1 over differences leaves a tenth more than level 6, in a third of the time.
+_LEVEL, _WINDOW_BITS, _MEMORY_LEVEL = 1, 15, 9
+_STREAM_HEADER, _EMPTY_LAST_BLOCK = b"\x78\x01", b"\x03\x00"
+_ADLER_BASE = 65521
+
+
+@dataclass(frozen=True, slots=True)
+class Strip:
+    """Some rows, compressed.
+
+    Attributes
+    ----------
+    data : bytes
+        Deflated, to a byte's border; without an end.
+    checksum : int
+        Adler-32 of what was deflated.
+    length : int
+        Of what was deflated.
+    """
+
+    data: bytes
+    checksum: int
+    length: int
+
+
+def compress(pixels: NDArray[np.uint8]) -> Strip:
+    """Compress (h, w, 4) uint8 BGRA rows, which go on to hold nothing of the rows above them."""
+    height, width = pixels.shape[:2]
+    colours = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGRA2RGBA), np.uint8).reshape(height, -1)
+    rows = np.empty((height, 1 + 4 * width), np.uint8)
+    rows[0, 0], rows[1:, 0] = _NO_FILTER, _UP
+    rows[0, 1:] = colours[0]
+    np.subtract(colours[1:], colours[:-1], out=rows[1:, 1:])
+    deflate = zlib.compressobj(_LEVEL, zlib.DEFLATED, -_WINDOW_BITS, _MEMORY_LEVEL)
+    data = deflate.compress(rows.data) + deflate.flush(zlib.Z_FULL_FLUSH)
+    return Strip(data, zlib.adler32(rows.data), rows.size)
+
+
+def write_png(path: Path, width: int, height: int, strips: Iterable[Strip]) -> None:
+    """Write a picture, whole or not at all, from its strips, the upper ones first.
+
+    Raises
+    ------
+    OutputError
+    """
+    write_chunks(path, _chunks(width, height, strips))
+
+
+def _chunks(width: int, height: int, strips: Iterable[Strip]) -> Iterator[bytes]:
+    yield _SIGNATURE
+    yield _chunk(
+        b"IHDR", struct.pack(">IIBBBBB", width, height, 8, _TRUE_COLOUR_WITH_ALPHA, 0, 0, 0)
+    )
+    yield _chunk(b"IDAT", _STREAM_HEADER)
+    checksum = zlib.adler32(b"")
+    for strip in strips:
+        yield _chunk(b"IDAT", strip.data)
+        checksum = _joined(checksum, strip)
+    yield _chunk(b"IDAT", _EMPTY_LAST_BLOCK + struct.pack(">I", checksum))
+    yield _chunk(b"IEND", b"")
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def _joined(before: int, strip: Strip) -> int:
+    """Return the checksum of all bytes so far and a strip's: sums, and sums of the sums."""
+    low, high = before & 0xFFFF, before >> 16
+    high += (strip.checksum >> 16) + strip.length * (low - 1)
+    low += (strip.checksum & 0xFFFF) - 1
+    return (high % _ADLER_BASE) << 16 | low % _ADLER_BASE

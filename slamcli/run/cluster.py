@@ -1,0 +1,102 @@
+"""Work on other processes and machines, through a Dask cluster.
+
+Each worker is given a function once and keeps it, with all that it holds; a worker that dies takes
+no result with it that is not computed anew on another. Frames go by path: every machine must find
+them under the same one.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import cv2
+
+from slamcli.core.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from concurrent.futures import Future
+
+# The function travels with the first task that needs it, some megabytes of it.
+_QUIET = {"distributed.admin.large-graph-warning-threshold": "1GB"}
+_CONNECT_SECONDS = 10
+# A frame that kills so many workers is not given to one more.
+_MOST_DEATHS = 4
+
+
+class Cluster(Executor):
+    """A Dask cluster as `concurrent.futures` sees it.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._executor = client.get_executor(pure=False, retries=_MOST_DEATHS)
+        self._kept: dict[Callable[..., Any], Any] = {}
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Schedule ``fn(*args)``; `fn` is sent only once."""
+        if fn not in self._kept:
+            # As the result of a task, not as data: a worker that dies with it is no loss.
+            self._kept[fn] = self._client.submit(_same, _Held(fn), pure=False)
+        future: Future[Any] = self._executor.submit(_call, self._kept[fn], *args, **kwargs)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: FBT001, FBT002
+        """Wait for what was submitted, or cancel it."""
+        self._executor.shutdown(wait=wait and not cancel_futures)
+
+    @property
+    def processors(self) -> int:
+        """How many tasks run at once."""
+        threads: dict[str, int] = self._client.nthreads()
+        return max(1, sum(threads.values()))
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Cluster]:
+    """Yield the cluster of a scheduler, such as ``tcp://host:8786``.
+
+    Raises
+    ------
+    InputError
+        When distributed is not installed, or no scheduler answers.
+    """
+    try:
+        import dask
+        import distributed
+    except ImportError as error:
+        raise InputError("--scheduler needs Dask: pip install slamcli[cluster]") from error
+    with dask.config.set(_QUIET):
+        try:
+            client: Any = distributed.Client(  # type: ignore[no-untyped-call]
+                address, timeout=_CONNECT_SECONDS, set_as_default=False
+            )
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"no Dask scheduler answers at {address}; start one with `dask scheduler`, and "
+                "`dask worker ADDRESS` on every machine"
+            ) from error
+        with client:
+            yield Cluster(client)
+
+
+class _Held:
+    """A function inside of something: Dask would take it for a task of its own."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function = function
+
+
+def _same(held: _Held) -> _Held:
+    return held
+
+
+def _call(held: _Held, *arguments: Any) -> Any:
+    cv2.setNumThreads(1)
+    return held.function(*arguments)

@@ -1,0 +1,77 @@
+"""A Dask cluster of separate processes does what threads do, even when one of them dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+from typing import TYPE_CHECKING
+
+import distributed
+import pytest
+from click.testing import CliRunner
+
+from slamcli.cli import main
+from slamcli.core.config import MapperOptions
+from slamcli.core.errors import InputError
+from slamcli.run.executor import ordered
+from slamcli.run.stitch import StitchOptions, stitch
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("drive") / "drive"
+    told = ["--frames", str(FRAMES), "--size", "320x240", "--length", "0.5"]
+    done = CliRunner().invoke(main, ["simulate", str(folder), *told])
+    assert done.exit_code == 0, done.output
+    return folder
+
+
+def test_a_worker_that_dies_changes_no_byte(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run(output: Path, scheduler: str, victim: int | None) -> None:
+        def progress(stage: str, done: int, total: int) -> None:
+            if victim is not None and (stage, done) == ("locating", 2):
+                os.kill(victim, signal.SIGKILL)
+
+        options = StitchOptions(MapperOptions(), workers=2, scheduler=scheduler)
+        # A worker stands elsewhere: relative paths must reach it.
+        monkeypatch.chdir(drive)
+        report = stitch(
+            [type(drive)("frames")],
+            type(drive)("camera.yaml"),
+            output,
+            options,
+            overwrite=False,
+            progress=progress,
+            tell=lambda _: None,
+        )
+        assert report is not None
+
+    run(tmp_path / "threads", "", None)
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+        processes = list(client.run(os.getpid).values())
+        assert len(set(processes)) == 2
+        assert os.getpid() not in processes
+        run(tmp_path / "cluster", cluster.scheduler_address, processes[0])
+        with pytest.raises(ProcessLookupError):
+            os.kill(processes[0], 0)
+    for name in ("mosaic.png", "poses.csv", "map.slam"):
+        expected = (tmp_path / "threads" / name).read_bytes()
+        assert (tmp_path / "cluster" / name).read_bytes() == expected, name
+
+
+def test_where_no_scheduler_answers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slamcli.run.cluster._CONNECT_SECONDS", 0.2)
+    with pytest.raises(InputError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
+        list(ordered(abs, [1, 2], 1, "tcp://127.0.0.1:9"))
