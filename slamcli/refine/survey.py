@@ -149,7 +149,8 @@ def _explain(
 ) -> adjustment.Adjustment:
     """Return the adjustment with as much of the lens as the matches determine."""
     plain = fit(calibration, views, matches, _WITH_K1, rounds=_WARM_ROUNDS if rough else None)
-    if rough:
+    loose = np.sqrt(np.diag(plain.camera_covariance)) > MOST_SIGMAS
+    if rough or np.any(loose):
         return plain
     best = plain
     for more, free in ((slice(2, 3), _WITH_K2), (slice(5, 7), _WITH_CENTRE)):
