@@ -35,8 +35,8 @@ MOST_SIGMAS = np.array([0.01, 0.01, 0.05, math.radians(0.3), math.radians(0.3), 
 _LEAST_LENS_SIGMAS = 4.0
 _CORNER_RATIO = 0.3
 _WITH_K1 = np.array([True, True, False, True, True, False, False])
-_WITH_K2 = np.array([True, True, True, True, True, False, False])
-_WITH_CENTRE = np.ones(7, np.bool_)
+_K2 = np.arange(7) == 2
+_CENTRE = np.arange(7) >= 5
 NONE = np.zeros(7, np.bool_)
 
 
@@ -152,14 +152,15 @@ def _explain(
     loose = np.sqrt(np.diag(plain.camera_covariance)) > MOST_SIGMAS
     if rough or np.any(loose):
         return plain
-    best = plain
-    for more, free in ((slice(2, 3), _WITH_K2), (slice(5, 7), _WITH_CENTRE)):
-        richer = fit(best.calibration, best.views, matches, free, best.rocking_sigmas)
+    best, lens = plain, _WITH_K1
+    # Each on its own merit: a centre that is off may tell more than another coefficient.
+    for more in (_K2, _CENTRE):
+        richer = fit(best.calibration, best.views, matches, lens | more, best.rocking_sigmas)
         sigmas = np.sqrt(np.diag(richer.camera_covariance))
         told = np.abs(richer.camera_change[more]) > _LEAST_LENS_SIGMAS * sigmas[more]
-        if np.any(sigmas > MOST_SIGMAS) or not np.any(told):
-            break
-        best = replace(richer, camera_change=best.camera_change + richer.camera_change)
+        if not np.any(sigmas > MOST_SIGMAS) and np.any(told):
+            change = best.camera_change + richer.camera_change
+            best, lens = replace(richer, camera_change=change), lens | more
     return best
 
 
