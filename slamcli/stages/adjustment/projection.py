@@ -215,8 +215,14 @@ def _by_rotation(pitch: float, directions: NDArray[np.float64]) -> NDArray[np.fl
     Pitch turns about the robot's y, after roll has turned about the optical axis, whose direction
     in the robot frame is (cos pitch, 0, -sin pitch).
     """
-    axes = np.array([[0.0, 1.0, 0.0], [math.cos(pitch), 0.0, -math.sin(pitch)]])
-    return np.stack([np.cross(axis, directions) for axis in axes], axis=2)
+    x, y, z = directions.T
+    across, down = math.cos(pitch), math.sin(pitch)
+    turned = np.zeros((len(directions), 3, 2))
+    turned[:, 0, 0], turned[:, 2, 0] = z, -x
+    turned[:, 0, 1] = down * y
+    turned[:, 1, 1] = -down * x - across * z
+    turned[:, 2, 1] = across * y
+    return turned
 
 
 def _to_ray(calibration: Calibration, rocking: Rocking, points: NDArray[np.float64]) -> _Back:

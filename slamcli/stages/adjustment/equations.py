@@ -1,0 +1,246 @@
+"""The least-squares equations of an adjustment: its unknowns, residuals and normal matrix."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.sparse import coo_matrix, csc_matrix
+
+from slamcli.stages.adjustment.projection import (
+    CAMERA_PARAMETERS,
+    FRAME_PARAMETERS,
+    POSE_PARAMETERS,
+    View,
+    transfer_with_jacobians,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import Calibration
+    from slamcli.stages.adjustment.patches import Matches
+
+# Geman and McClure's scale in sigmas; see stages.align.rigid.
+_KERNEL_SIGMAS = 3.0
+# Median length of a normal error in one direction, and in two.
+_MEDIAN_ONE, _MEDIAN_TWO = 0.6745, math.sqrt(2.0 * math.log(2.0))
+_LINE_RATIO = 0.3
+_LEAST_SCALE = 0.3
+# No calibration is worse than about this, and what the matches leave open must not run away: log
+# focal length, radial coefficients, pitch, roll, principal point (in focal lengths).
+_CAMERA_SIGMAS = np.array([0.15, 0.4, 0.4, 0.1, 0.1, 0.02, 0.02])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """Where each unknown stands in the vector of all: the camera's first, then frame by frame."""
+
+    frames: tuple[int, ...]
+    free: NDArray[np.bool_]
+
+    @property
+    def count(self) -> int:
+        """How many unknowns there are."""
+        return CAMERA_PARAMETERS + FRAME_PARAMETERS * len(self.frames)
+
+    def of_frame(self, place: int) -> NDArray[np.int64]:
+        """Return (6,): the places of the frame at a place in `frames`."""
+        start = CAMERA_PARAMETERS + FRAME_PARAMETERS * place
+        return np.arange(start, start + FRAME_PARAMETERS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Where the unknowns stand, and how uneven the floor is (m, one sigma)."""
+
+    calibration: Calibration
+    views: dict[int, View]
+    change: NDArray[np.float64]
+    unevenness_metres: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """One pair of frames, linearised, all in standard deviations.
+
+    Attributes
+    ----------
+    frames : (int, int)
+    unknowns : (19,) int
+        Places in the vector of all unknowns.
+    residual : (N, 2) float64
+    jacobian : (N, 2, 19) float64
+    median : (N,) float64
+        Of the length of a residual, were it a standard normal one.
+    plain, by_rise : (N, 2) float64
+        The residual, and what a metre by which the floor lies higher at the spot changes it by, as
+        they are on an even floor.
+    """
+
+    frames: tuple[int, int]
+    unknowns: NDArray[np.int64]
+    residual: NDArray[np.float64]
+    jacobian: NDArray[np.float64]
+    median: NDArray[np.float64]
+    plain: NDArray[np.float64]
+    by_rise: NDArray[np.float64]
+
+
+def free_unknowns(
+    frames: Sequence[int],
+    anchors: Sequence[int],
+    camera_free: NDArray[np.bool_],
+    rocking_sigmas: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Return (K,) bool: which unknowns are estimated."""
+    held = set(anchors)
+    by_frame = [
+        np.concatenate([np.full(POSE_PARAMETERS, index not in held), rocking_sigmas > 0.0])
+        for index in frames
+    ]
+    return np.concatenate([camera_free, *by_frame])
+
+
+def prior_information(layout: Layout, sigmas: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the information (K,) that holds each unknown near zero."""
+    rocking = np.where(sigmas > 0.0, 1.0 / np.maximum(sigmas, 1e-12) ** 2, 0.0)
+    by_frame = np.concatenate([np.zeros(POSE_PARAMETERS), rocking])
+    return np.concatenate([_CAMERA_SIGMAS**-2, np.tile(by_frame, len(layout.frames))])
+
+
+def held_values(layout: Layout, state: State) -> NDArray[np.float64]:
+    """Return (K,): how far each unknown that is held near zero stands from it."""
+    values = np.zeros(layout.count)
+    values[:CAMERA_PARAMETERS] = state.change
+    height = state.calibration.height_metres
+    for place, index in enumerate(layout.frames):
+        rocking = state.views[index].rocking
+        values[layout.of_frame(place)[POSE_PARAMETERS:]] = (
+            rocking.pitch_radians,
+            rocking.roll_radians,
+            math.log1p(rocking.height_metres / height),
+        )
+    return values
+
+
+def linearise(state: State, matches: Sequence[Matches], layout: Layout) -> list[Block]:
+    """Return every pair of frames linearised about a state."""
+    places = {index: place for place, index in enumerate(layout.frames)}
+    blocks = []
+    for pair in matches:
+        own = [layout.of_frame(places[index]) for index in (pair.a, pair.b)]
+        unknowns = np.concatenate([np.arange(CAMERA_PARAMETERS), *own])
+        blocks.append(_linearise_pair(state, pair, unknowns))
+    return blocks
+
+
+def _linearise_pair(state: State, pair: Matches, unknowns: NDArray[np.int64]) -> Block:
+    views = state.views[pair.a], state.views[pair.b]
+    moved = transfer_with_jacobians(state.calibration, *views, pair.pixels_a)
+    seen = np.isfinite(moved.pixels).all(axis=1)
+    whitening = pair.whitening[seen]
+    jacobian = np.concatenate([moved.by_camera, moved.by_a, moved.by_b], axis=2)[seen]
+    known = np.linalg.norm(whitening, axis=2)
+    plain = np.einsum("nij,nj->ni", whitening, moved.pixels[seen] - pair.pixels_b[seen])
+    # Where the floor lies higher, both cameras are nearer to it.
+    heights = [state.calibration.height_metres + v.rocking.height_metres for v in views]
+    rise = -moved.by_a[seen, :, -1] / heights[0] - moved.by_b[seen, :, -1] / heights[1]
+    by_rise = np.einsum("nij,nj->ni", whitening, rise)
+    shrink = _shrinking(by_rise * state.unevenness_metres)
+    line = known.min(axis=1) < _LINE_RATIO * known.max(axis=1)
+    return Block(
+        (pair.a, pair.b),
+        unknowns,
+        np.einsum("nij,nj->ni", shrink, plain),
+        shrink @ whitening @ jacobian,
+        np.where(line, _MEDIAN_ONE, _MEDIAN_TWO),
+        plain,
+        by_rise,
+    )
+
+
+def _shrinking(spread: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (N, 2, 2): the inverse root of ``I + s s^T`` for (N, 2) vectors s."""
+    squared = np.einsum("ni,ni->n", spread, spread)
+    share = (1.0 - 1.0 / np.sqrt(1.0 + squared)) / np.maximum(squared, 1e-12)
+    outer = spread[:, :, None] * spread[:, None, :]
+    return np.asarray(np.eye(2) - share[:, None, None] * outer)
+
+
+def unevenness_seen(blocks: Sequence[Block], scale: float) -> float:
+    """Return how uneven the floor is: what residuals vary more by in the one way that shows it."""
+    plain = np.concatenate([block.plain for block in blocks])
+    by_rise = np.concatenate([block.by_rise for block in blocks])
+    length = np.maximum(np.linalg.norm(by_rise, axis=1), 1e-9)
+    along = np.einsum("ni,ni->n", plain, by_rise / length[:, None])
+    telling = length > np.median(length)
+    # The median of a squared normal number is 0.455 times its variance.
+    variance = (along[telling] / length[telling]) ** 2
+    even = (scale / length[telling]) ** 2
+    return math.sqrt(max(float(np.median(variance)) / 0.455 - float(np.median(even)), 0.0))
+
+
+def residual_scale(blocks: Sequence[Block]) -> float:
+    """Return how many times longer residuals are than their sigmas foretell (median)."""
+    lengths = [np.linalg.norm(block.residual, axis=1) / block.median for block in blocks]
+    return max(float(np.median(np.concatenate(lengths))), _LEAST_SCALE)
+
+
+def _squares(block: Block, scale: float) -> NDArray[np.float64]:
+    squares: NDArray[np.float64] = np.sum(block.residual**2, axis=1) / scale**2
+    return squares
+
+
+def total_cost(
+    blocks: Sequence[Block],
+    scale: float,
+    prior: NDArray[np.float64],
+    held: NDArray[np.float64],
+) -> float:
+    """Return the robust cost of the residuals and of what is held."""
+    total = float(np.sum(prior * held**2))
+    for block in blocks:
+        squares = _squares(block, scale)
+        total += float(np.sum(squares / (1.0 + squares / _KERNEL_SIGMAS**2)))
+    return total
+
+
+def weights(block: Block, scale: float) -> NDArray[np.float64]:
+    """Return (N,): what each match counts, by how well it fits (Geman and McClure)."""
+    weights: NDArray[np.float64] = (1.0 + _squares(block, scale) / _KERNEL_SIGMAS**2) ** -2
+    return weights / scale**2
+
+
+def normal_equations(
+    blocks: Sequence[Block],
+    scale: float,
+    prior: NDArray[np.float64],
+    layout: Layout,
+    state: State,
+) -> tuple[csc_matrix, NDArray[np.float64]]:
+    """Return the normal matrix (K, K), sparse, and the gradient (K,); identity where held."""
+    gradient = prior * held_values(layout, state)
+    rows, columns, values = [], [], []
+    for block in blocks:
+        weighted = block.jacobian * weights(block, scale)[:, None, None]
+        local = np.einsum("nik,nil->kl", weighted, block.jacobian)
+        gradient[block.unknowns] += np.einsum("nik,ni->k", weighted, block.residual)
+        row, column = np.meshgrid(block.unknowns, block.unknowns, indexing="ij")
+        both = layout.free[row] & layout.free[column]
+        rows.append(row[both])
+        columns.append(column[both])
+        values.append(local[both])
+    diagonal = np.arange(layout.count)
+    rows.append(diagonal)
+    columns.append(diagonal)
+    values.append(np.where(layout.free, np.maximum(prior, 1e-9), 1.0))
+    shape = (layout.count, layout.count)
+    normal = coo_matrix(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape
+    )
+    return normal.tocsc(), np.where(layout.free, gradient, 0.0)
