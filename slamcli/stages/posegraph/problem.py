@@ -227,9 +227,10 @@ class Problem:
         equations.add([np.arange(3 * count).reshape(-1, 3)], [anywhere], np.zeros((count, 3)))
         held = len(self.anchors)
         firm = np.broadcast_to(np.eye(3) / ANCHOR_SIGMA, (held, 3, 3))
-        equations.add(
-            [3 * self.anchors[:, None] + np.arange(3)], [np.asarray(firm)], np.zeros((held, 3))
-        )
+        fixed = 3 * self.anchors[:, None] + np.arange(3)
+        equations.add([fixed], [np.asarray(firm)], np.zeros((held, 3)))
+        # Else what is held between others would creep, a little each step, and none be the last.
+        equations.gradient[fixed] = 0.0
         senses = (3 * count + np.arange(6))[None]
         slopes, residuals = self._sense_whitening, self._sense_errors(state)
         equations.add([senses], [slopes[None]], residuals[None])
