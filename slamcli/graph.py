@@ -334,7 +334,8 @@ class Graph:
         self._offsets[fragment] = solution.offsets
         self.switched_off = self.switched_off.difference(weighed.numbers) | weighed.switched_off
         used = set(weighed.numbers) - weighed.switched_off
-        seen = {end for number in used for end in (self.links[number].a, self.links[number].b)}
+        shown = [self.links[number] for number in used if self.links[number].kind != "odometry"]
+        seen = {end for link in shown for end in (link.a, link.b)}
         for index in initial:
             known = self._estimates[index]
             tracked = known.status == "tracked" or index in seen

@@ -415,7 +415,8 @@ def _with_views(
     floor_map = registration.floor_map
     if floor_map is not None:
         kept = tuple(by_index[estimate.index] for estimate in floor_map.estimates)
-        floor_map = replace(floor_map, calibration=calibration, estimates=kept)
+        links = tuple(_scaled(link, scale) for link in floor_map.links)
+        floor_map = replace(floor_map, calibration=calibration, estimates=kept, links=links)
     return replace(registration, calibration=calibration, estimates=estimates, floor_map=floor_map)
 
 
@@ -468,4 +469,14 @@ def _told(before: Calibration, after: Calibration) -> str:
         f"height {height[0]:.1f} to {height[1]:.1f} mm, "
         f"pitch {pitch[0]:.2f} to {pitch[1]:.2f} ± {math.degrees(after.pitch_sigma_radians):.2g}°, "
         f"roll {roll[0]:.2f} to {roll[1]:.2f} ± {math.degrees(after.roll_sigma_radians):.2g}°"
+    )
+
+
+def _scaled(link: Link, scale: float) -> Link:
+    """Return a link in metres that are so many times the ones that it was measured in."""
+    motion, metres = link.a_from_b, np.array([scale, scale, 1.0])
+    return replace(
+        link,
+        a_from_b=Pose2(scale * motion.x, scale * motion.y, motion.theta),
+        covariance=link.covariance * np.outer(metres, metres),
     )
