@@ -316,7 +316,10 @@ class Graph:
         if found is not None and before is not None:
             readings = found.readings + before.readings
             outliers = found.outliers + before.outliers
-            found = replace(found, readings=readings, outliers=outliers)
+            # A window takes older poses for certain; the sigmas of the whole hold their errors too.
+            found = replace(
+                found, covariance=before.covariance, readings=readings, outliers=outliers
+            )
         if found is not None:
             self.georeferences[fragment] = found
 
