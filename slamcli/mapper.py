@@ -198,6 +198,10 @@ class Mapper:
         Fragments that links connect become one; they are numbered from the one with most frames
         down, and each has its first frame as its origin. A frame that nothing ties to any other
         is lost.
+
+        Loops within a fragment are closed here and not as frames come: a loop moves the whole map,
+        and to solve that takes seconds when it is large, while a robot must keep up. It may ask for
+        it whenever it has the time, and go on mapping.
         """
         self._graph.solve()
         while self.options.loops and (found := self._loops.close(self._graph)):
