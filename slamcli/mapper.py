@@ -78,6 +78,7 @@ class Mapper:
         self._motion: Pose2 | None = None
         self._moved_at = 0
         self._stray: Prepared | None = None
+        self._placed: Prepared | None = None
         self._trials: list[Trial] = []
 
     @property
@@ -161,12 +162,15 @@ class Mapper:
                 far_levels = dense.make_levels(
                     view.make_view(frame, self._far_resampler, gray=True)
                 )
+            alike = dense.repeats(levels[-1])
         except FrameError as error:
             return Prepared(frame.index, frame.name, frame.stamp, None, None, str(error))
         except (cv2.error, ValueError, TypeError) as error:
             reason = f"cannot be processed: {' '.join(str(error).split())}"
             return Prepared(frame.index, frame.name, frame.stamp, None, None, reason)
-        return Prepared(frame.index, frame.name, frame.stamp, seen, found, "", levels, far_levels)
+        return Prepared(
+            frame.index, frame.name, frame.stamp, seen, found, "", levels, far_levels, alike
+        )
 
     def step(self, prepared: Prepared) -> PoseEstimate:
         """Place one prepared frame; frames come in order, and an index that came before is refused.
@@ -298,9 +302,7 @@ class Mapper:
         """Search the pixels of the latest placed frame; then try a guess; stop when one fits."""
         if not self._keyframes:
             return []
-        recent = self._keyframes[-1]
-        if before is not None and self._graph.is_tracked(before.index):
-            recent = before
+        recent = self._placed or self._keyframes[-1]
         attempts: list[tuple[Pose2 | None, dense.Window | None]] = []
         window = self._window(recent, prepared)
         if (self.options.dense and window is not None) or recent is not self._keyframes[-1]:
@@ -402,7 +404,7 @@ class Mapper:
             start = self._graph.pose(before.index)
             self._motion = start.inverse() @ self._graph.pose(prepared.index)
             self._moved_at = prepared.index
-        stray, self._stray = self._stray, None
+        stray, self._stray, self._placed = self._stray, None, prepared
         overlap = max(trial.overlap for trial in believed)
         if overlap < self.options.keyframe_overlap or links[0].kind == "loop":
             self._add_keyframe(prepared)
@@ -443,6 +445,7 @@ class Mapper:
         return self._graph[keyframe.index]
 
     def _begin_fragment(self, prepared: Prepared) -> PoseEstimate:
+        self._placed = prepared
         self._add_keyframe(prepared)
         return self._graph.begin_fragment(prepared)
 

@@ -388,6 +388,13 @@ mapper_options = stacked(
         help="A motion is ambiguous when another explains more than this share of what it does.",
     ),
     click.option(
+        "--max-step",
+        "max_step_metres",
+        type=POSITIVE,
+        help="Metres; the farthest that the robot goes from one frame to the next. On a floor that "
+        "repeats, less than half its period tells which of its like spots is meant.",
+    ),
+    click.option(
         "--loops/--no-loops",
         default=_MAPPER.loops,
         help="Look for floor that was seen before [default], or take the frames as a chain.",

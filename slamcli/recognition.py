@@ -7,6 +7,7 @@ one map with equal right is ambiguous: neither is believed.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 # A motion needs so many times the usual inliers, and pixels that agree well.
 _LEAST_INLIERS = 3
+# Of the patches of floor that tell, for a place to be the same.
+_LEAST_CONFIRMED = 0.9
 _LEAST_SCORE = 0.5
 # So many spots of the map are compared with a frame that recalls them, from so many keyframes each.
 _MOST_SPOTS = 4
@@ -107,6 +110,11 @@ class Recogniser:
         trial = compare(keyframe, prepared, guess, self._calibration, self._options)
         if trial.link is None:
             return trial
+        # Boards of one print beside boards that differ: most of the floor must be the same.
+        share = trial.link.score if math.isnan(trial.confirmed) else trial.confirmed
+        if share < _LEAST_CONFIRMED:
+            reason = f"only {share:.0%} of the floor is as it was (to {keyframe.name})"
+            return replace(trial, link=None, reason=reason)
         return replace(trial, link=replace(trial.link, kind="loop"))
 
     def is_strong(self, trial: Trial) -> bool:

@@ -46,6 +46,8 @@ class Trial:
         alone decided.
     search : Search or None
         What the pixels were asked, when they were.
+    confirmed : float
+        Share of the floor's patches that agree with the fit; nan where too few tell.
     """
 
     keyframe: Prepared
@@ -56,6 +58,7 @@ class Trial:
     reason: str = ""
     rival: float = math.nan
     search: dense.Search | None = None
+    confirmed: float = math.nan
 
 
 def compare(
@@ -98,8 +101,13 @@ def compare(
             near, alignment.pose, alignment.covariance, calibration, options
         )
         if not options.dense or belief.convincing(alignment, by_features, options):
-            doubt = belief.implausible(by_features, options, beside_features=options.dense)
-            return case.trial(by_features, doubt)
+            doubt = belief.implausible(
+                by_features, case.way_metres, options, beside_features=options.dense
+            ) or case.repeats(near, by_features)
+            if not doubt or not ask_pixels:
+                return case.trial(by_features, doubt)
+        if by_features.pose.translation_length > case.way_metres:
+            by_features = None
     if not ask_pixels:
         return case.trial(by_features, alignment.reason or belief.few(alignment, options))
     if guess is not None:
@@ -107,6 +115,7 @@ def compare(
         fits = [fit] if fit.covariance is not None else []
         return case.choose(near, fits, by_features, None)
     assert window is not None
+    window = replace(window, way_metres=case.way_metres)
     found, fits = hypotheses.search(near, window, calibration, options)
     trial = case.choose(near, fits, by_features, found)
     if trial.link is not None or not (keyframe.far_levels and prepared.far_levels):
@@ -128,6 +137,11 @@ class _Case:
     calibration: Calibration
     options: MapperOptions
 
+    @property
+    def way_metres(self) -> float:
+        """The farthest that the robot may have gone from one frame to the other."""
+        return belief.way_metres(self.keyframe.index, self.prepared.index, self.options)
+
     def choose(
         self,
         pair: Pair,
@@ -144,21 +158,46 @@ class _Case:
                 None, self.alignment.reason or "the pixels show no motion", 1.0, found
             )
         best = fits[0]
-        rival = fits[1].evidence / best.evidence if len(fits) > 1 and best.evidence > 0 else 0.0
+        rival = self._rival(pair, best, fits[1:])
         differs = by_features is not None and not hypotheses.same(by_features.pose, best.pose, pair)
         backed = (
             by_features is not None and not differs and belief.backing(self.alignment, self.options)
         )
-        doubt = belief.implausible(best, self.options)
+        doubt = belief.implausible(best, self.way_metres, self.options)
         if not doubt and not backed:
             doubt = belief.unlike(pair, best, self.options)
         if not doubt and differs and belief.many(self.alignment, self.options):
             doubt = "the pixels speak for another motion than the features do"
         if not doubt:
-            doubt = belief.ambiguous(rival, self.options)
+            doubt = belief.ambiguous(rival, self.options) or self.repeats(pair, best)
         if not doubt and not backed:
             doubt = belief.undetermined(best, self.calibration.max_range_metres, self.options)
         return self.trial(best, doubt, rival, found)
+
+    def _rival(self, pair: Pair, best: Hypothesis, others: list[Hypothesis]) -> float:
+        """Return the evidence of the strongest motion that the best does not stand out from."""
+        for other in others:
+            share = other.evidence / best.evidence if best.evidence > 0 else 1.0
+            if share <= self.options.max_rival_evidence:
+                return share
+            if not hypotheses.stands_out(pair, best, other):
+                return share
+        return 0.0
+
+    def repeats(self, near: Pair, fit: Hypothesis) -> str:
+        """Return why a floor that repeats leaves a fit open, or nothing."""
+        if near.far or not len(self.prepared.repeats):
+            return ""
+        rivals = hypotheses.repeated(
+            near, fit, self.prepared.repeats, self.calibration, self.options
+        )
+        like = [
+            rival
+            for rival in rivals
+            if rival.pose.translation_length <= self.way_metres
+            and not hypotheses.stands_out(near, fit, rival)
+        ]
+        return belief.repeating(fit, like, self.options) if like else ""
 
     def trial(
         self,
@@ -181,6 +220,15 @@ class _Case:
             )
         overlap = 0.0 if fit is None else fit.agreed.overlap
         reason = "" if link is not None else f"{doubt} (to {self.keyframe.name})"
+        confirmed = math.nan if fit is None else fit.agreed.confirmed
         return Trial(
-            self.keyframe, self.prepared, self.alignment, link, overlap, reason, rival, found
+            self.keyframe,
+            self.prepared,
+            self.alignment,
+            link,
+            overlap,
+            reason,
+            rival,
+            found,
+            confirmed,
         )

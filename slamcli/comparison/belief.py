@@ -54,8 +54,19 @@ def few(alignment: Alignment, options: MapperOptions) -> str:
     )
 
 
-def implausible(fit: Hypothesis, options: MapperOptions, *, beside_features: bool = False) -> str:
+def way_metres(first: int, second: int, options: MapperOptions) -> float:
+    """Return the farthest that the robot may have gone between two frames, by their indices."""
+    step = options.max_step_metres
+    return math.inf if step is None else step * max(1, abs(second - first))
+
+
+def implausible(
+    fit: Hypothesis, most_metres: float, options: MapperOptions, *, beside_features: bool = False
+) -> str:
     """Return why a fit is not plausible, or contradicted by the pixels."""
+    way = fit.pose.translation_length
+    if way > most_metres:
+        return f"the fit moves the robot by {way:.3g}; at most {most_metres:.3g} is plausible"
     turn = abs(math.degrees(fit.pose.theta))
     if turn > options.max_turn_degrees:
         return (
@@ -107,6 +118,15 @@ def ambiguous(rival: float, options: MapperOptions) -> str:
         f"ambiguous: another motion explains {rival:.0%} of what the best one does; "
         f"at most {options.max_rival_evidence:.0%} is believed"
     )
+
+
+def repeating(fit: Hypothesis, like: list[Hypothesis], options: MapperOptions) -> str:
+    """Return why a motion is not singled out on a floor that repeats, given those it is like."""
+    for other in like:
+        if other.evidence > options.max_rival_evidence * fit.evidence:
+            apart = (fit.pose.inverse() @ other.pose).translation_length
+            return f"ambiguous: the floor repeats, and {apart:.2g} farther on it fits as well"
+    return ""
 
 
 def undetermined(fit: Hypothesis, range_metres: float, options: MapperOptions) -> str:

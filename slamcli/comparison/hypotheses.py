@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamcli.core.geometry import wrap_angle
+from slamcli.core.geometry import Pose2, wrap_angle
 from slamcli.stages import dense
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from slamcli.core.config import MapperOptions
-    from slamcli.core.geometry import Pose2
     from slamcli.core.records import Calibration, DenseLevel
 
 # So many peaks of a search are followed up; a ridge along a line alone may hold several.
@@ -32,10 +31,12 @@ _EQUAL_SHARE = 0.95
 # the rocking is believed when it leaves less than this share unexplained. On a floor of a few lines
 # a line's end may be brought to fit by a tilt as well as by the motion.
 _STEADY_CORRELATION = 0.95
-_CONTRAST_HANDICAP = 0.03
+_CONTRAST_HANDICAP = 0.0475
 _ROCKING_SHARE = 0.6
 # A robot may rock so much more than its tilt sigma says, where the pixels ask for it.
 _ROCKING_TIMES = 5.0
+# Of the patches, for a motion; so many times those for its rival.
+_LEAST_PREFERENCE, _PREFERENCE_TIMES = 0.02, 4.0
 # By so much more must views be alike on the coarsest level, whose few pixels agree by chance.
 _COARSE_HANDICAP = 0.2
 
@@ -188,6 +189,35 @@ def sharpen(
     if sharper.agreed.overlap < options.min_overlap:
         return fit
     return replace(sharper, evidence=fit.evidence, correlation=fit.correlation)
+
+
+def repeated(
+    pair: Pair,
+    fit: Hypothesis,
+    repeats: NDArray[np.float64],
+    calibration: Calibration,
+    options: MapperOptions,
+) -> list[Hypothesis]:
+    """Return the motions that a floor which repeats makes look like a fit, each as it fits best."""
+    found = []
+    for x, y in (*repeats, *-repeats):
+        start = fit.pose @ Pose2(float(x), float(y))
+        refined = dense.refine(pair.a[:2], pair.b[:2], start, calibration, 0.0)
+        if refined is not None and not same(refined.a_from_b, fit.pose, pair):
+            shown = refined.view_a_from_view_b
+            found.append(judge(pair, refined.a_from_b, refined.covariance, shown))
+    return [rival for rival in found if rival.agreed.overlap >= options.min_overlap]
+
+
+def stands_out(pair: Pair, fit: Hypothesis, rival: Hypothesis) -> bool:
+    """Return whether some patches speak for a motion, and hardly any for its rival.
+
+    On a floor that repeats most patches tell nothing; scratches and stains do.
+    """
+    pro, contra = dense.preference(
+        pair.a[0], pair.b[0], fit.view_a_from_view_b, rival.view_a_from_view_b
+    )
+    return pro >= _LEAST_PREFERENCE and contra <= pro / _PREFERENCE_TIMES
 
 
 def judge(

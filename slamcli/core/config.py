@@ -210,6 +210,9 @@ class MapperOptions:
     max_sigma_share : float
         A searched motion less well known than this, as a share of how far the camera sees, in any
         direction is not believed.
+    max_step_metres : float or None
+        The farthest that the robot goes between two frames that follow each other. Where a floor
+        repeats, less than half its period tells which of its like spots is meant. None: not known.
     most_hypotheses : int
         So many motions of a search are followed to the finest level.
     convincing_inliers : int
@@ -235,6 +238,7 @@ class MapperOptions:
     min_dense_score: float = 0.45
     max_rival_evidence: float = 0.75
     max_sigma_share: float = 0.015
+    max_step_metres: float | None = None
     most_hypotheses: int = 3
     convincing_inliers: int = 120
     convincing_score: float = 0.5

@@ -177,6 +177,8 @@ class Prepared:
         Of the view, from half resolution on.
     far_levels : tuple of DenseLevel
         Of a coarser view that reaches farther; empty where the camera sees no farther.
+    repeats : (K, 2) float64
+        Shifts, metres in the robot's axes, by which the view looks like itself.
     """
 
     index: int
@@ -187,6 +189,7 @@ class Prepared:
     reason: str = ""
     levels: tuple[DenseLevel, ...] = ()
     far_levels: tuple[DenseLevel, ...] = ()
+    repeats: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

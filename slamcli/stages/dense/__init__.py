@@ -1,8 +1,9 @@
 """Two views compared pixel by pixel: searched, refined, and judged."""
 
-from slamcli.stages.dense.agreement import Agreement, agreement, overlap
+from slamcli.stages.dense.agreement import Agreement, agreement, overlap, preference
 from slamcli.stages.dense.levels import levels_from_half, make_levels
 from slamcli.stages.dense.refinement import Known, Refinement, refine
+from slamcli.stages.dense.repetition import repeats
 from slamcli.stages.dense.search import Candidate, Search, Window, evidence, search
 from slamcli.stages.dense.standing import Standing, standing
 
@@ -19,7 +20,9 @@ __all__ = [
     "levels_from_half",
     "make_levels",
     "overlap",
+    "preference",
     "refine",
+    "repeats",
     "search",
     "standing",
 ]

@@ -24,6 +24,8 @@ _PATCH_PIXELS = 16
 _TELLING_GRAY = 3.0
 _LEAST_PATCHES = 12
 _PATCH_CORRELATION = 0.5
+# By so much better must a patch agree under one motion to speak for it.
+_CLEARLY = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,30 +71,70 @@ def agreement(a: DenseLevel, b: DenseLevel, view_a_from_view_b: NDArray[np.float
     view_a_from_view_b : (3, 3) float64
         Metres to metres: a motion, or a `Refinement`'s.
     """
+    moved, both = _laid_over(a, b, view_a_from_view_b)
+    smaller = int(min(np.count_nonzero(a.mask == 255), np.count_nonzero(b.mask == 255)))
+    shared = int(np.count_nonzero(both))
+    if shared < _LEAST_SHARED_PIXELS:
+        return Agreement(math.nan, shared / max(1, smaller), math.nan)
+    values_a = a.image[both].astype(np.float32)
+    values_b = moved[both].astype(np.float32)
+    values_a -= values_a.mean()
+    values_b -= values_b.mean()
+    norm = math.sqrt(float(values_a @ values_a) * float(values_b @ values_b))
+    correlation = float(values_a @ values_b) / norm if norm > 0 else 0.0
+    patches, telling = _patch_correlations(a.image, moved, both)
+    confirmed = math.nan
+    if np.count_nonzero(telling) >= _LEAST_PATCHES:
+        agree = patches > _PATCH_CORRELATION
+        confirmed = float(np.mean(agree[telling]))
+    return Agreement(correlation, shared / smaller, confirmed)
+
+
+def preference(
+    a: DenseLevel,
+    b: DenseLevel,
+    view_a_from_view_b: NDArray[np.float64],
+    rival: NDArray[np.float64],
+) -> tuple[float, float]:
+    """Return which share of the patches that tell speak clearly for one motion, and for its rival.
+
+    Where a floor repeats, both motions explain nearly all of it; scratches and stains tell them
+    apart, in the few patches that have some. nan where too few patches tell of both.
+
+    Parameters
+    ----------
+    view_a_from_view_b, rival : (3, 3) float64
+    """
+    first, telling = _patch_correlations(a.image, *_laid_over(a, b, view_a_from_view_b))
+    second, also = _patch_correlations(a.image, *_laid_over(a, b, rival))
+    both = telling & also
+    count = np.count_nonzero(both)
+    if count < _LEAST_PATCHES:
+        return math.nan, math.nan
+    clearly = (first - second)[both]
+    return (
+        float(np.count_nonzero(clearly > _CLEARLY) / count),
+        float(np.count_nonzero(clearly < -_CLEARLY) / count),
+    )
+
+
+def _laid_over(
+    a: DenseLevel, b: DenseLevel, view_a_from_view_b: NDArray[np.float64]
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Return b's picture as a sees it, and where both see the floor."""
     b_from_a_pixel = invert(view_a_from_view_b) @ invert(a.pixel_from_metres)
     b_pixel_from_a_pixel = b.pixel_from_metres @ b_from_a_pixel
     size = (a.image.shape[1], a.image.shape[0])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     moved = cv2.warpPerspective(b.image, b_pixel_from_a_pixel, size, flags=flags)
     seen = cv2.warpPerspective(b.mask, b_pixel_from_a_pixel, size, flags=flags)
-    both = (np.asarray(seen) == 255) & (a.mask == 255)
-    smaller = int(min(np.count_nonzero(a.mask == 255), np.count_nonzero(b.mask == 255)))
-    shared = int(np.count_nonzero(both))
-    if shared < _LEAST_SHARED_PIXELS:
-        return Agreement(math.nan, shared / max(1, smaller), math.nan)
-    values_a = a.image[both].astype(np.float32)
-    values_b = np.asarray(moved)[both].astype(np.float32)
-    values_a -= values_a.mean()
-    values_b -= values_b.mean()
-    norm = math.sqrt(float(values_a @ values_a) * float(values_b @ values_b))
-    correlation = float(values_a @ values_b) / norm if norm > 0 else 0.0
-    return Agreement(correlation, shared / smaller, _confirmed(a.image, np.asarray(moved), both))
+    return np.asarray(moved, np.uint8), (np.asarray(seen) == 255) & (a.mask == 255)
 
 
-def _confirmed(
+def _patch_correlations(
     image_a: NDArray[np.uint8], image_b: NDArray[np.uint8], both: NDArray[np.bool_]
-) -> float:
-    """Return the share of patches that agree, among those that show more than noise."""
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return each patch's own correlation, and whether it is whole and shows more than noise."""
     rows, columns = (side - side % _PATCH_PIXELS for side in both.shape)
     first, second, weight = (
         picture[:rows, :columns]
@@ -102,13 +144,13 @@ def _confirmed(
         for picture in (image_a, image_b, both)
     )
     whole = weight.all(axis=1)
+    correlation = np.zeros(len(first), np.float32)
+    telling = np.zeros(len(first), np.bool_)
     patch_a, patch_b = first[whole].astype(np.float32), second[whole].astype(np.float32)
     patch_a -= patch_a.mean(axis=1, keepdims=True)
     patch_b -= patch_b.mean(axis=1, keepdims=True)
     energy_a, energy_b = (patch_a**2).mean(axis=1), (patch_b**2).mean(axis=1)
-    telling = np.maximum(energy_a, energy_b) > _TELLING_GRAY**2
-    if np.count_nonzero(telling) < _LEAST_PATCHES:
-        return math.nan
-    product = (patch_a * patch_b).mean(axis=1)
-    agree = product > _PATCH_CORRELATION * np.sqrt(energy_a * energy_b)
-    return float(np.count_nonzero(agree & telling) / np.count_nonzero(telling))
+    telling[whole] = np.maximum(energy_a, energy_b) > _TELLING_GRAY**2
+    norm = np.sqrt(np.maximum(energy_a * energy_b, np.float32(1e-6)))
+    correlation[whole] = (patch_a * patch_b).mean(axis=1) / norm
+    return correlation, telling

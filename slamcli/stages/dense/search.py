@@ -45,11 +45,14 @@ class Window:
         Headings tried to either side.
     radius_metres : float
         Translations tried all round, of the middle of what b saw; inf: all.
+    way_metres : float
+        The farthest that the robot may have gone from a to b; inf: any way.
     """
 
     centre: Pose2 = field(default_factory=Pose2)
     angle_radians: float = math.radians(40.0)
     radius_metres: float = math.inf
+    way_metres: float = math.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +132,7 @@ def search(
         turned = np.asarray(cv2.warpAffine(values_b, rotation, size), np.float32)
         weight = np.asarray(cv2.warpAffine(weight_b, rotation, size), np.float32)
         correlation, pixels = _correlate(first, _transforms(turned, weight, shape), energy, shape)
-        correlation[(pixels < least) | ~allowed] = 0.0
+        correlation[(pixels < least) | ~allowed | _too_far(a, rotation, window, shape)] = 0.0
         rotations.append(rotation)
         correlations.append(correlation)
         shared.append(pixels)
@@ -141,6 +144,24 @@ def search(
         found.append(Candidate(pose, value, area / seen, float(_evidence(value, area))))
     surface = np.fft.fftshift(stack.max(axis=0))
     return Search(tuple(found), np.asarray(surface, np.float32), a.metres_per_pixel)
+
+
+def autocorrelation(level: DenseLevel) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return how a view correlates with itself, shifted, and which share of it both then see.
+
+    Two pictures of equal shape, no shift in their middle, pixel (rows // 2, columns // 2).
+    """
+    values, weight = level.normalised, _weight(level)
+    height, width = values.shape
+    shape = fft.next_fast_len(2 * height, real=True), fft.next_fast_len(2 * width, real=True)
+    spectra = _transforms(values, weight, shape)
+    energy = _energy(values, weight)
+    correlation, pixels = _correlate(spectra, spectra, (energy, energy), shape)
+    whole = max(float(weight.sum()), 1.0)
+    return (
+        np.asarray(np.fft.fftshift(correlation), np.float32),
+        np.asarray(np.fft.fftshift(pixels) / whole, np.float32),
+    )
 
 
 def evidence(
@@ -245,6 +266,20 @@ def _allowed(
     columns = _signed(np.arange(shape[1]), shape[1])[None, :] - (there[0] - middle[0])
     inside: NDArray[np.bool_] = np.hypot(rows, columns) <= window.radius_metres / a.metres_per_pixel
     return inside
+
+
+def _too_far(
+    a: DenseLevel, rotation: NDArray[np.float64], window: Window, shape: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """Return which translations of a turned picture take the robot farther than its way."""
+    if math.isinf(window.way_metres):
+        return np.zeros(shape, np.bool_)
+    robot = a.pixel_from_metres[:2, 2]
+    column, row = rotation @ (*robot, 1.0) - robot
+    rows = _signed(np.arange(shape[0]), shape[0])[:, None] + row
+    columns = _signed(np.arange(shape[1]), shape[1])[None, :] + column
+    beyond: NDArray[np.bool_] = np.hypot(rows, columns) > window.way_metres / a.metres_per_pixel
+    return beyond
 
 
 def _signed(shift: NDArray[np.int64], length: int) -> NDArray[np.int64]:
