@@ -75,6 +75,12 @@ def main() -> None:
     help="Only look for faults in the frames and tell what mapping them will take.",
 )
 @click.option(
+    "--extend",
+    type=options.PATH,
+    metavar="MAP",
+    help="Add FRAMES, of a later drive, to a finished map: the output of slam stitch.",
+)
+@click.option(
     "--resume", is_flag=True, help="Go on with a run of the same frames and options, cut off."
 )
 @options.self_calibrate
@@ -112,10 +118,13 @@ def stitch(
         debug=told["debug"],
         self_calibrate=told["self_calibrate"],
         export=told["export"],
+        extend=told["extend"],
         resume=told["resume"],
         workers=workers or default_workers(),
         scheduler=told["scheduler"],
     )
+    if told["dry_run"] and told["extend"]:
+        raise click.UsageError("--dry-run does not take --extend")
     if told["dry_run"]:
         from slamcli.run.forecast import forecast
 

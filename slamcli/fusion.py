@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, insort
+from bisect import bisect_left, bisect_right, insort
 from dataclasses import replace
 from itertools import pairwise
 from operator import attrgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link
-from slamcli.core.telemetry import TelemetryOptions
+from slamcli.core.telemetry import CompassReading, GpsReading, TelemetryOptions
 from slamcli.stages import telemetry
 from slamcli.stages.geodesy import LocalPlane
 from slamcli.stages.posegraph import Heading, Place
@@ -23,9 +23,13 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from slamcli.core.records import PoseEstimate
-    from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
+    from slamcli.core.telemetry import OdometryReading
+    from slamcli.stages.posegraph import SenseOffsets
+
+Kind = TypeVar("Kind", CompassReading, GpsReading)
 
 _STAMP = attrgetter("stamp")
+_SETTLED_RADIANS = 0.1
 
 
 class Senses:
@@ -49,6 +53,12 @@ class Senses:
         """Whether there are readings that tell of more than the motion since the last frame."""
         return bool(self._compass or self._gps)
 
+    def are_settled(self, offsets: SenseOffsets) -> bool:
+        """Return whether what all readings share is known well enough to be held nearly still."""
+        east_north = offsets.east_north_covariance
+        compass = not self._compass or offsets.compass_offset_sigma_radians < _SETTLED_RADIANS
+        return compass and (not self._gps or math.sqrt(east_north[2, 2]) < _SETTLED_RADIANS)
+
     def shift(self, seconds: float) -> None:
         """Set by how much the readings' clock differs, before any odometry has come."""
         assert not len(self._track)
@@ -71,7 +81,7 @@ class Senses:
     def gps(self, reading: GpsReading) -> None:
         """Take a reading; the first one is the datum. Raises InputError without pyproj."""
         if self._plane is None:
-            self.datum_degrees = (reading.latitude_degrees, reading.longitude_degrees)
+            self.datum_degrees = (float(reading.latitude_degrees), float(reading.longitude_degrees))
             self._plane = LocalPlane(self.datum_degrees)
         insort(self._gps, reading, key=_STAMP)
 
@@ -95,43 +105,50 @@ class Senses:
 
     def headings(self, frames: Sequence[PoseEstimate]) -> list[Heading]:
         """Return the compass's readings, each tied to one of some placed frames."""
-        stamps = [reading.stamp for reading in self._compass]
-        tied, share = self._tied(frames, stamps), self._share(stamps)
+        near, share = self._near(self._compass, frames), self._share(self._compass)
         return [
             Heading(index, motion, reading.heading_radians, reading.sigma_radians, share)
-            for reading, (index, motion) in zip(self._compass, tied, strict=True)
+            for reading, (index, motion) in zip(near, self._tied(frames, near), strict=True)
             if index >= 0
         ]
 
     def places(self, frames: Sequence[PoseEstimate]) -> list[Place]:
         """Return the GPS readings, each tied to one of some placed frames."""
-        stamps = [reading.stamp for reading in self._gps]
-        tied, share = self._tied(frames, stamps), self._share(stamps)
+        near, share = self._near(self._gps, frames), self._share(self._gps)
         places = []
-        for reading, (index, motion) in zip(self._gps, tied, strict=True):
+        for reading, (index, motion) in zip(near, self._tied(frames, near), strict=True):
             if index >= 0 and self._plane is not None:
                 place = self._plane.east_north(reading.latitude_degrees, reading.longitude_degrees)
                 places.append(Place(index, motion, *place, reading.sigma_metres, share))
         return places
 
-    def _share(self, stamps: Sequence[float]) -> float:
+    def _near(self, readings: Sequence[Kind], frames: Sequence[PoseEstimate]) -> Sequence[Kind]:
+        """Return the readings of about the time of some frames: only these can be tied to them."""
+        stamps = [frame.stamp for frame in frames if frame.stamp is not None]
+        if not stamps:
+            return []
+        shift, gap = self.options.time_offset_seconds, self.options.longest_gap_seconds
+        first = bisect_left(readings, min(stamps) - gap - shift, key=_STAMP)
+        return readings[first : bisect_right(readings, max(stamps) + gap - shift, key=_STAMP)]
+
+    def _share(self, readings: Sequence[Kind]) -> float:
         """Return what one reading counts: of so many in the time over which they err alike."""
-        if len(stamps) < 2:
+        if len(readings) < 2:
             return 1.0
-        apart = (stamps[-1] - stamps[0]) / (len(stamps) - 1)
+        apart = (readings[-1].stamp - readings[0].stamp) / (len(readings) - 1)
         return min(1.0, apart / self.options.memory_seconds)
 
     def _tied(
-        self, frames: Sequence[PoseEstimate], stamps: Sequence[float]
+        self, frames: Sequence[PoseEstimate], readings: Sequence[Kind]
     ) -> list[tuple[int, Pose2]]:
-        """Return, for each stamp, a frame's index and ``frame_from_robot`` at that moment.
+        """Return, for each reading, a frame's index and ``frame_from_robot`` at that moment.
 
         By odometry, else between the frames before and after it. Index -1 where neither tells.
         """
         stamped = sorted((f for f in frames if f.stamp is not None), key=_STAMP)
         moments = [frame.stamp for frame in stamped if frame.stamp is not None]
         shift = self.options.time_offset_seconds
-        return [self._tie(stamped, moments, stamp + shift) for stamp in stamps]
+        return [self._tie(stamped, moments, reading.stamp + shift) for reading in readings]
 
     def _tie(
         self, frames: Sequence[PoseEstimate], moments: Sequence[float], stamp: float

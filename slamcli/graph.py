@@ -24,11 +24,16 @@ if TYPE_CHECKING:
 
     from slamcli.core.records import Prepared
     from slamcli.core.telemetry import Georeference
+    from slamcli.weighing import Weighed
 
 SAME_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
-# As a map grows by this share and so many frames, compass and GPS correct it again.
+# While a map is smaller than this, or what compass and GPS are off by is not known yet, it is
+# solved anew as it grows by this share and so many frames.
+_SMALL_FRAMES = 400
 _SOLVE_AFTER_GROWTH = 1.25
 _SOLVE_AFTER_FRAMES = 20
+# From then on only the frames that came since are, whenever so many have: that cost stays flat.
+_WINDOW_FRAMES = 50
 
 
 class Graph:
@@ -41,8 +46,14 @@ class Graph:
         self.georeferences: dict[int, Georeference] = {}
         self._estimates: dict[int, PoseEstimate] = {}
         self._next_fragment = 0
-        self._odom = Pose2()
+        self._next_index = 0
+        # The frames in the order of their coming, and how many links there were before each.
+        self._order: list[int] = []
+        self._links_before: list[int] = []
+        self._offsets: dict[int, posegraph.SenseOffsets] = {}
+        # How many frames there were at the latest solution, and at the latest of the whole map.
         self._solved_at = 0
+        self._all_solved_at = 0
 
     def __contains__(self, index: int) -> bool:
         return index in self._estimates
@@ -62,7 +73,7 @@ class Graph:
     @property
     def next_index(self) -> int:
         """One more than any frame's."""
-        return max(self._estimates, default=-1) + 1
+        return self._next_index
 
     def pose(self, index: int) -> Pose2:
         """Return ``map_from_robot`` of a frame that is placed."""
@@ -118,6 +129,8 @@ class Graph:
         joins = any(self._estimates[link.a].fragment != fragment for link in links)
         if joins or self._is_due():
             self._join(index)
+        elif self._is_window_full():
+            self._slide(index)
 
     def carried(self, index: int, prepared: Prepared) -> tuple[Pose2, NDArray[np.float64]] | None:
         """Return how far odometry says a frame is from an earlier one, and how surely."""
@@ -133,10 +146,7 @@ class Graph:
         known = self._estimates[before.index]
         if known.status != "tracked":
             return self.lose(prepared, known.reason or f"same picture as {before.name}")
-        self.links.append(
-            Link(before.index, prepared.index, Pose2(), SAME_POSE_COVARIANCE, 0, 1.0, "step")
-        )
-        return self._keep(
+        kept = self._keep(
             replace(
                 known,
                 index=prepared.index,
@@ -146,6 +156,9 @@ class Graph:
                 revised=(),
             )
         )
+        same = Link(before.index, prepared.index, Pose2(), SAME_POSE_COVARIANCE, 0, 1.0, "step")
+        self.links.append(same)
+        return kept
 
     def lose(self, prepared: Prepared, reason: str) -> PoseEstimate:
         """Keep a frame that its picture does not place: predicted by odometry, or lost."""
@@ -184,6 +197,7 @@ class Graph:
         linked.sort(key=lambda part: (-len(part), min(part)))
         self.switched_off = frozenset()
         self.georeferences = {}
+        self._offsets = {}
         for fragment, initial in enumerate(linked):
             self._solve(initial, fragment)
 
@@ -192,6 +206,10 @@ class Graph:
         return Weighing(self.estimates, self.links, self.senses)
 
     def _keep(self, estimate: PoseEstimate) -> PoseEstimate:
+        if estimate.index not in self._estimates:
+            self._order.append(estimate.index)
+            self._links_before.append(len(self.links))
+            self._next_index = max(self._next_index, estimate.index + 1)
         self._estimates[estimate.index] = estimate
         return estimate
 
@@ -214,11 +232,96 @@ class Graph:
         return latest.odom_from_robot if felt is None else latest.odom_from_robot @ felt[0]
 
     def _is_due(self) -> bool:
-        """Return whether so many frames have come since the last solution that one is worth it."""
-        return (
-            self.senses.correct_the_map
-            and len(self._estimates) > _SOLVE_AFTER_GROWTH * self._solved_at + _SOLVE_AFTER_FRAMES
+        """Return whether so many frames have come since the whole was solved that it is worth it.
+
+        Of a large map whose senses are settled, only the latest frames are, and the whole at last.
+        """
+        if not self.senses.correct_the_map:
+            return False
+        settled = all(map(self.senses.are_settled, self._offsets.values())) and self._offsets
+        if settled and len(self._order) > _SMALL_FRAMES:
+            return False
+        grown = _SOLVE_AFTER_GROWTH * self._all_solved_at + _SOLVE_AFTER_FRAMES
+        return len(self._order) > grown
+
+    def _is_window_full(self) -> bool:
+        waiting = len(self._order) - self._solved_at
+        return self.senses.correct_the_map and waiting >= _WINDOW_FRAMES
+
+    def _slide(self, index: int) -> None:
+        """Solve a frame's fragment from where the latest solution ended, all before that held.
+
+        A fixed-lag smoother (Dellaert and Kaess, Factor Graphs for Robot Perception, 2017) whose
+        windows do not overlap: what their readings tell of the senses' offsets adds up.
+        """
+        fragment, first = self._estimates[index].fragment, self._solved_at
+        members = [
+            member
+            for member in self._order[first:]
+            if self.is_placed(member) and self._estimates[member].fragment == fragment
+        ]
+        prior = self._offsets.get(fragment)
+        base = self._placed_before(first, fragment)
+        if prior is None or base is None:
+            return
+        free = set(members)
+        numbers = [
+            number
+            for number in range(self._links_before[first], len(self.links))
+            if not free.isdisjoint((self.links[number].a, self.links[number].b))
+            and self._estimates[self.links[number].a].fragment == fragment
+            and self._estimates[self.links[number].b].fragment == fragment
+        ]
+        links = [self.links[number] for number in numbers]
+        held = {base} | {end for link in links for end in (link.a, link.b)} - free
+        frames = [self._estimates[member] for member in sorted(held | free)]
+        weighing = Weighing(frames, links, self.senses)
+        weighed = weighing.weigh({f.index: self.pose(f.index) for f in frames}, held, prior)
+        off = frozenset(numbers[place] for place in weighed.switched_off)
+        self.switched_off = self.switched_off.difference(numbers) | off
+        self._revise_window(members, base, weighed.solution)
+        self._offsets[fragment] = weighed.solution.offsets
+        self._locate_on_earth(fragment, weighed, self.georeferences.get(fragment))
+        self._solved_at = len(self._order)
+        self.revise(index, tuple(member for member in sorted(free) if member != index))
+
+    def _placed_before(self, count: int, fragment: int) -> int | None:
+        """Return the latest placed one of so many first frames, if it is of a fragment."""
+        return next(
+            (
+                member
+                for member in reversed(self._order[max(0, count - _SMALL_FRAMES) : count])
+                if self.is_placed(member) and self._estimates[member].fragment == fragment
+            ),
+            None,
         )
+
+    def _revise_window(self, members: list[int], base: int, solution: posegraph.Solution) -> None:
+        """Take over poses that were solved with others held, of which one is surely known."""
+        known = self._estimates[base].covariance
+        assert known is not None
+        for member in members:
+            pose = solution.poses[member]
+            covariance = posegraph.compose_covariance(
+                known, self.pose(base).inverse() @ pose, solution.covariances[member]
+            )
+            self._estimates[member] = replace(
+                self._estimates[member], map_from_robot=pose, covariance=covariance
+            )
+
+    def _locate_on_earth(
+        self, fragment: int, weighed: Weighed, before: Georeference | None = None
+    ) -> None:
+        found = weighed.georeference
+        if found is not None and before is not None:
+            readings = found.readings + before.readings
+            outliers = found.outliers + before.outliers
+            # A window takes older poses for certain; the sigmas of the whole hold their errors too.
+            found = replace(
+                found, covariance=before.covariance, readings=readings, outliers=outliers
+            )
+        if found is not None:
+            self.georeferences[fragment] = found
 
     def _join(self, index: int) -> None:
         """Re-solve the component that a frame belongs to."""
@@ -230,10 +333,12 @@ class Graph:
         """Solve one component, its first frame at the origin, and revise its estimates."""
         weighed = self._weighing.weigh(initial)
         solution = weighed.solution
-        self._solved_at = len(self._estimates)
+        self._solved_at = self._all_solved_at = len(self._order)
+        self._offsets[fragment] = solution.offsets
         self.switched_off = self.switched_off.difference(weighed.numbers) | weighed.switched_off
         used = set(weighed.numbers) - weighed.switched_off
-        seen = {end for number in used for end in (self.links[number].a, self.links[number].b)}
+        shown = [self.links[number] for number in used if self.links[number].kind != "odometry"]
+        seen = {end for link in shown for end in (link.a, link.b)}
         for index in initial:
             known = self._estimates[index]
             tracked = known.status == "tracked" or index in seen
@@ -245,8 +350,7 @@ class Graph:
                 status="tracked" if tracked else "predicted",
                 reason="" if tracked and known.status != "tracked" else known.reason,
             )
-        if weighed.georeference is not None:
-            self.georeferences[fragment] = weighed.georeference
+        self._locate_on_earth(fragment, weighed)
 
 
 def lost(frame: Prepared | PoseEstimate, reason: str) -> PoseEstimate:

@@ -38,8 +38,9 @@ class Locator:
         self._mapper = Mapper(floor_map.calibration, options)
         self._known = Recogniser(floor_map.calibration, options, self._mapper.grid)
         self._graph = Graph()
-        for keyframe, estimate in zip(floor_map.keyframes, floor_map.estimates, strict=True):
+        for keyframe in floor_map.keyframes:
             self._known.keep(keyframe)
+        for estimate in floor_map.estimates:
             self._graph.adopt(estimate)
         self._count = 0
 

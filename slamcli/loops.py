@@ -75,6 +75,7 @@ class Loops:
         self._known = Recogniser(calibration, options, grid)
         self._recalled: dict[int, list[Place]] = {}
         self._asked: set[int] = set()
+        self._adopted: set[int] = set()
         self._failed: dict[tuple[int, int], Pose2] = {}
 
     @property
@@ -91,6 +92,12 @@ class Loops:
         if recalled:
             self._recalled[keyframe.index] = recalled
         self._known.keep(keyframe)
+
+    def adopt(self, keyframe: Keyframe) -> None:
+        """Keep a keyframe of a finished map, whose own loops are closed."""
+        self._known.keep(keyframe)
+        self._asked.add(keyframe.index)
+        self._adopted.add(keyframe.index)
 
     def recognise(self, prepared: Prepared, graph: Graph, *, after_break: bool) -> Recognition:
         """Find the place of a frame of which no pose is known.
@@ -124,6 +131,8 @@ class Loops:
         found: list[Link] = []
         for attempts in (self._by_poses(graph), self._by_appearance(graph)):
             for attempt in attempts:
+                if {attempt.a, attempt.b} <= self._adopted:
+                    continue
                 link = None if ties.beside(attempt.a, attempt.b) else self._attempt(attempt)
                 if link is not None:
                     ties.add(link)

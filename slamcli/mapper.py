@@ -17,7 +17,7 @@ import numpy as np
 
 from slamcli.comparison import compare
 from slamcli.core.config import MapperOptions
-from slamcli.core.errors import FrameError
+from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import FloorMap, Frame, Prepared
 from slamcli.fusion import Senses
@@ -192,7 +192,8 @@ class Mapper:
         if any(trial.link is not None for trial in trials):
             return self._place(prepared, trials)
         if not self._keyframes:
-            return self._begin_fragment(prepared)
+            self._begin_fragment(prepared)
+            return self._rejoin(prepared)
         return self._recover(prepared, trials)
 
     def finish(self) -> list[PoseEstimate]:
@@ -201,6 +202,10 @@ class Mapper:
         Fragments that links connect become one; they are numbered from the one with most frames
         down, and each has its first frame as its origin. A frame that nothing ties to any other
         is lost.
+
+        Loops within a fragment are closed here and not as frames come: a loop moves the whole map,
+        and to solve that takes seconds when it is large, while a robot must keep up. It may ask for
+        it whenever it has the time, and go on mapping.
         """
         self._graph.solve()
         while self.options.loops and (found := self._loops.close(self._graph)):
@@ -238,8 +243,33 @@ class Mapper:
             self.metres_per_pixel,
             self.options.tilt_sigma_degrees,
             tuple(kept),
-            tuple(self._graph[keyframe.index] for keyframe in kept),
+            tuple(self._graph.estimates),
+            (*self._graph.links, *self._graph.senses.chain(self._graph.estimates)),
         )
+
+    def extend(self, floor_map: FloorMap) -> None:
+        """Go on where a finished map ends, before any frame has come.
+
+        The frames that follow begin a fragment of their own, which joins the map as soon as one of
+        them is recognised; `finish` then weighs both drives together, and older poses may move.
+
+        Raises
+        ------
+        InputError
+            When the map's views are not this mapper's: other features, camera or resolution.
+        """
+        assert not self._graph.next_index
+        theirs = floor_map.features, floor_map.metres_per_pixel, floor_map.tilt_sigma_degrees
+        ours = self.options.features, self.metres_per_pixel, self.options.tilt_sigma_degrees
+        if theirs != ours or not np.array_equal(
+            floor_map.calibration.robot_from_image, self.calibration.robot_from_image
+        ):
+            raise InputError("a map is gone on with by its own camera, features and resolution")
+        for estimate in floor_map.estimates:
+            self._graph.adopt(estimate)
+        self._graph.links += floor_map.links
+        for keyframe in floor_map.keyframes:
+            self._loops.adopt(keyframe)
 
     def _compare(self, prepared: Prepared, before: Prepared | None) -> list[Trial]:
         """Try the latest keyframes, newest first: all that overlap once one has been believed.

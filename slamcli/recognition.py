@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _LEAST_INLIERS = 3
 # Of the patches of floor that tell, for a place to be the same.
 _LEAST_CONFIRMED = 0.9
+_LEAST_CONFIRMED_BY_MANY = 0.5
 _LEAST_SCORE = 0.5
 # So many spots of the map are compared with a frame that recalls them, from so many keyframes each.
 _MOST_SPOTS = 4
@@ -110,9 +111,11 @@ class Recogniser:
         trial = compare(keyframe, prepared, guess, self._calibration, self._options)
         if trial.link is None:
             return trial
-        # Boards of one print beside boards that differ: most of the floor must be the same.
+        # Boards of one print beside boards that differ: most of the floor must be the same. A floor
+        # that was changed since then is known by the more points that agree on what is left of it.
         share = trial.link.score if math.isnan(trial.confirmed) else trial.confirmed
-        if share < _LEAST_CONFIRMED:
+        many = trial.alignment.inlier_count >= self._options.convincing_inliers
+        if share < (_LEAST_CONFIRMED_BY_MANY if many else _LEAST_CONFIRMED):
             reason = f"only {share:.0%} of the floor is as it was (to {keyframe.name})"
             return replace(trial, link=None, reason=reason)
         return replace(trial, link=replace(trial.link, kind="loop"))

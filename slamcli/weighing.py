@@ -12,10 +12,11 @@ from slamcli.core.telemetry import Georeference
 from slamcli.stages import posegraph
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from slamcli.core.records import Link, PoseEstimate
     from slamcli.fusion import Senses
+    from slamcli.stages.posegraph import SenseOffsets
 
 # A fragment so surely placed on Earth is tied to others that are.
 _SURE_HEADING_RADIANS = 0.1
@@ -83,20 +84,36 @@ class Weighing:
                 parts.append(self._spread([index for index in group if index >= first], chain))
         return parts
 
-    def weigh(self, initial: Part) -> Weighed:
-        """Solve one part, its first frame at the origin."""
+    def weigh(
+        self, initial: Part, held: Collection[int] = (), prior: SenseOffsets | None = None
+    ) -> Weighed:
+        """Solve one part, its first frame at the origin.
+
+        Parameters
+        ----------
+        initial : dict
+        held : collection of int
+            Frames that stay where they are, in place of the first one; their readings have been
+            weighed before.
+        prior : SenseOffsets or None
+            What these told.
+        """
         numbers = [n for n, link in enumerate(self._links) if link.a in initial]
         frames = [
             replace(self._estimates[index], map_from_robot=initial[index], fragment=0)
             for index in sorted(initial)
         ]
-        places = self._senses.places(frames)
+        free = [frame for frame in frames if frame.index not in held]
+        places = self._senses.places(free)
+        lever_arm = self._senses.options.lever_arm_metres
         solution = posegraph.solve(
             initial,
             [self._links[n] for n in numbers] + self._senses.chain(frames),
-            self._senses.headings(frames),
+            self._senses.headings(free),
             places,
-            lever_arm_metres=self._senses.options.lever_arm_metres,
+            lever_arm_metres=lever_arm if prior is None else prior.lever_arm_metres,
+            held=held,
+            prior=prior,
         )
         off = frozenset(numbers[k] for k in solution.switched_off if k < len(numbers))
         georeference = self._georeference(solution, len(places))

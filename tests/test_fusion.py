@@ -9,7 +9,7 @@ import shutil
 import sys
 import tomllib
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -30,6 +30,7 @@ from slamcli.fusion import Senses
 from slamcli.graph import Graph
 from slamcli.io.telemetry import write_gps
 from slamcli.io.trajectories import read_trajectory
+from slamcli.stages import posegraph
 from slamcli.stages.geodesy import LocalPlane
 from slamcli.stages.simulate import floors, photograph
 from slamcli.stages.simulate.drive import geodetic_from_local
@@ -157,6 +158,42 @@ def test_gps_and_compass_survive_outliers_and_place_the_map_on_earth() -> None:
         assert abs(away) < 3.0 * sigmas[2]
     # With steps so poor, vision alone is off by far more.
     assert rmse(fused, truth) < 0.5 * rmse(alone, truth)
+
+
+def test_a_large_map_is_corrected_at_a_cost_that_stays_flat(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    truth = winding(900, 0.1)
+    senses = Senses()
+    generator = np.random.default_rng(7)
+    feel_gps(senses, truth, generator, 1.0, outliers=0.05)
+    feel_compass(senses, truth, generator, slice(0, 0))
+    sizes: list[int] = []
+    solve = posegraph.solve
+
+    def counted(initial: dict[int, Pose2], *given: Any, **told: Any) -> posegraph.Solution:
+        sizes.append(len(initial))
+        return solve(initial, *given, **told)
+
+    monkeypatch.setattr(posegraph, "solve", counted)
+    streamed = drive(truth, senses, 1, 0.001)
+    assert max(sizes) < 500, "a large map is not solved as a whole before the end"
+    assert sizes[-5:] == [51] * 5
+    windows = streamed.georeferences[0]
+    assert windows.readings > 850
+    # As good as a solution of the whole, within what is not known anyway.
+    errors, latest = earth_errors(streamed, truth), streamed[899].covariance
+    assert latest is not None
+    streamed.solve()
+    whole = streamed.georeferences[0]
+    apart = windows.east_north_from_map.inverse() @ whole.east_north_from_map
+    sigmas = np.sqrt(np.diag(windows.covariance))
+    assert abs(apart.theta) < 3.0 * sigmas[2]
+    assert apart.translation_length < 3.0 * max(sigmas[:2])
+    assert math.sqrt(np.mean(errors**2)) < 0.5
+    assert 0.9 < sigmas[2] / math.sqrt(whole.covariance[2, 2]) < 5.0
+    ratio = np.diag(latest) / np.diag(streamed[899].covariance)
+    assert np.all((ratio > 0.9) & (ratio < 5.0))
 
 
 def test_the_antenna_is_found_on_the_robot() -> None:
@@ -320,6 +357,7 @@ def test_stitch_takes_what_the_robot_felt(drive_folder: Path, tmp_path: Path) ->
     shutil.copy(drive_folder / "camera.yaml", frames.parent)
     (frames / "0012.jpg").write_bytes(b"no picture")
     output = tmp_path / "out"
+    senses += ["--format", "png,geotiff"]
     told = stitch(frames.parent, output, *senses, "--export", "geojson,links,g2o")
     assert told.startswith("0"), told
     run = tomllib.loads((output / "run.toml").read_text())
@@ -329,6 +367,13 @@ def test_stitch_takes_what_the_robot_felt(drive_folder: Path, tmp_path: Path) ->
     track = json.loads((output / "track.geojson").read_text())
     longitude, latitude = track["features"][0]["geometry"]["coordinates"][0]
     assert (latitude, longitude) == pytest.approx(DATUM, abs=3e-7)
+    # The picture lies on Earth where the first frame's floor does: its origin is the map's.
+    rasterio = pytest.importorskip("rasterio")
+    with rasterio.open(output / "mosaic.tif") as picture:
+        projection, corner = picture.crs.to_dict(), picture.transform
+    assert (projection["lat_0"], projection["lon_0"]) == pytest.approx(DATUM, abs=3e-7)
+    degrees = run["georeference"]["x_axis_degrees_from_east"]
+    assert math.degrees(math.atan2(corner.d, corner.a)) == pytest.approx(degrees, abs=1e-6)
     links = (output / "links.csv").read_text().splitlines()
     assert links[0].startswith("a,b,kind")
     # Odometry between all frames that follow one another, besides.

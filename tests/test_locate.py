@@ -118,7 +118,7 @@ def set_to(*keys: Any, value: Any) -> Any:
         (set_to("norm", value="l3"), "norm"),
         (lambda header, rest: rest[:-1], "cut off"),
         (lambda header, rest: rest + b"x", "after its end"),
-        (lambda header, rest: b"\xff" * 8 + rest[8:], "numbers of its keyframes"),
+        (lambda header, rest: b"\xff" * 8 + rest[8:], "numbers of its frames"),
         (lambda header, rest: (header.clear(), rest)[1], "not a sound map"),
     ],
 )
@@ -136,7 +136,7 @@ def test_a_forged_map_is_refused_in_one_line(
     ("spoil", "told"),
     [
         (lambda data: data[:-1] + b"\0\0", "damaged"),
-        (lambda data: data.replace(b"map 1\n", b"map 9\n", 1), "format version 9"),
+        (lambda data: data.replace(b"map 2\n", b"map 9\n", 1), "format version 9"),
         (lambda data: b"PK\x03\x04" + data, "not a map"),
         (lambda data: b"", "not a map"),
     ],

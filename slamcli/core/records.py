@@ -459,8 +459,11 @@ class FloorMap:
     tilt_sigma_degrees : float
         By how much the camera's pitch varied.
     keyframes : tuple of Keyframe
+        Those that are placed.
     estimates : tuple of PoseEstimate
-        One for each keyframe, in the same order, all placed.
+        One for every frame, in order.
+    links : tuple of Link
+        Between them; odometry's too.
     """
 
     calibration: Calibration
@@ -469,6 +472,7 @@ class FloorMap:
     tilt_sigma_degrees: float
     keyframes: tuple[Keyframe, ...]
     estimates: tuple[PoseEstimate, ...]
+    links: tuple[Link, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

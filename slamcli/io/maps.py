@@ -18,15 +18,14 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from slamcli.core.errors import InputError, MapError
-from slamcli.core.geometry import Pose2
 from slamcli.core.records import (
     DescriptorNorm,
     Features,
     FloorMap,
     Keyframe,
-    PoseEstimate,
 )
 from slamcli.io.files import write_bytes
+from slamcli.io.map_drives import DRIVE_KINDS, drive_arrays, expect, parse_drive
 from slamcli.io.map_headers import (
     MOST_METRES,
     MOST_POINTS,
@@ -38,22 +37,22 @@ from slamcli.io.map_headers import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from slamcli.core.records import PoseEstimate
+
 MAP_NAME = "map.slam"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 _MAGIC = b"slamcli map "
 _DIGEST_BYTES = 32
 _LENGTH_BYTES = 8
 _MOST_BYTES = 16 * 2**30
 _MOST_KEYFRAMES = 2_000_000
 _KINDS = {
+    **DRIVE_KINDS,
     "rows": "<i8",
-    "stamps": "<f8",
-    "poses": "<f8",
-    "covariances": "<f8",
     "points": "<f4",
     "scores": "<f4",
     "sigmas": "<f4",
@@ -61,36 +60,19 @@ _KINDS = {
     "angles": "<f4",
     "descriptors": "",
     "pictures": "|u1",
-    "names": "|u1",
 }
-# Of each row: index, fragment, and how many points, and bytes of picture, mask and name it has.
-_ROW_COLUMNS = 6
+# Of each row: index, and how many points, and bytes of picture and mask it has.
+_ROW_COLUMNS = 4
 
 
 def save_map(path: Path, floor_map: FloorMap) -> None:
     """Write a map whole or not at all; `load_map` returns the same."""
-    keyframes, estimates = floor_map.keyframes, floor_map.estimates
-    names = [keyframe.name.encode() for keyframe in keyframes]
-    rows = [
-        (
-            keyframe.index,
-            estimate.fragment,
-            len(keyframe.features),
-            len(keyframe.image),
-            len(keyframe.mask),
-            len(name),
-        )
-        for keyframe, estimate, name in zip(keyframes, estimates, names, strict=True)
-    ]
+    keyframes = floor_map.keyframes
+    rows = [(k.index, len(k.features), len(k.image), len(k.mask)) for k in keyframes]
     every = [keyframe.features for keyframe in keyframes]
-    poses = [e.map_from_robot for e in estimates if e.map_from_robot is not None]
-    covariances = [e.covariance for e in estimates if e.covariance is not None]
-    stamps = [math.nan if k.stamp is None else k.stamp for k in keyframes]
     arrays: dict[str, NDArray[Any]] = {
+        **drive_arrays(floor_map.estimates, floor_map.links),
         "rows": np.array(rows, "<i8").reshape(-1, _ROW_COLUMNS),
-        "stamps": np.array(stamps, "<f8"),
-        "poses": np.array([(p.x, p.y, p.theta) for p in poses], "<f8").reshape(-1, 3),
-        "covariances": np.array(covariances, "<f8").reshape(-1, 3, 3),
         "points": _joined([f.points for f in every], "<f4"),
         "scores": _joined([f.scores for f in every], "<f4"),
         "sigmas": _joined([f.sigmas for f in every], "<f4"),
@@ -98,7 +80,6 @@ def save_map(path: Path, floor_map: FloorMap) -> None:
         "angles": _joined([f.angles for f in every], "<f4"),
         "descriptors": _joined([f.descriptors for f in every], every[0].descriptors.dtype),
         "pictures": np.frombuffer(b"".join(k.image + k.mask for k in keyframes), "|u1"),
-        "names": np.frombuffer(b"".join(names), "|u1"),
     }
     header = {
         "calibration": calibration_header(floor_map.calibration),
@@ -176,7 +157,8 @@ def _parse(body: bytes) -> FloorMap:
     features = parse_features(header["features"])
     norm = parse_word(header["norm"], get_args(DescriptorNorm), "norm")
     arrays = _parse_arrays(header["arrays"], memoryview(body)[end:])
-    keyframes, estimates = _parse_keyframes(arrays, norm)
+    estimates, links = parse_drive(arrays)
+    keyframes = _parse_keyframes(arrays, norm, {e.index: e for e in estimates})
     return FloorMap(
         parse_calibration(header["calibration"]),
         features,
@@ -184,6 +166,7 @@ def _parse(body: bytes) -> FloorMap:
         parse_number(header["tilt_sigma_degrees"], "tilt_sigma_degrees", 0.0, 90.0),
         keyframes,
         estimates,
+        links,
     )
 
 
@@ -209,23 +192,21 @@ def _parse_arrays(listed: Any, data: memoryview) -> dict[str, NDArray[Any]]:
 
 
 def _parse_keyframes(
-    arrays: dict[str, NDArray[Any]], norm: DescriptorNorm
-) -> tuple[tuple[Keyframe, ...], tuple[PoseEstimate, ...]]:
+    arrays: dict[str, NDArray[Any]], norm: DescriptorNorm, frames: Mapping[int, PoseEstimate]
+) -> tuple[Keyframe, ...]:
     _check_shapes(arrays, norm)
     rows, points = arrays["rows"], arrays["points"]
     descriptors = arrays["descriptors"]
     _check_numbers(arrays)
-    pictures, names = arrays["pictures"].tobytes(), arrays["names"].tobytes()
+    pictures = arrays["pictures"].tobytes()
     ends = np.cumsum(rows, axis=0)
-    keyframes, estimates = [], []
-    for place, (index, fragment, held, image_bytes, mask_bytes, name_bytes) in enumerate(
-        rows.tolist()
-    ):
-        mine = slice(int(ends[place, 2]) - held, int(ends[place, 2]))
-        picture = int(ends[place, 3] + ends[place, 4]) - image_bytes - mask_bytes
-        name_end = int(ends[place, 5])
-        name = names[name_end - name_bytes : name_end].decode("utf-8", "replace")
-        stamp = float(arrays["stamps"][place])
+    keyframes = []
+    for place, (index, held, image_bytes, mask_bytes) in enumerate(rows.tolist()):
+        frame = frames.get(index)
+        if frame is None or frame.map_from_robot is None:
+            raise MapError(f"its keyframe {index} has no pose")
+        mine = slice(int(ends[place, 1]) - held, int(ends[place, 1]))
+        picture = int(ends[place, 2] + ends[place, 3]) - image_bytes - mask_bytes
         features = Features(
             points[mine],
             descriptors[mine],
@@ -237,35 +218,25 @@ def _parse_keyframes(
         )
         keyframe = Keyframe(
             index,
-            name,
-            None if math.isnan(stamp) else stamp,
+            frame.name,
+            frame.stamp,
             features,
             pictures[picture : picture + image_bytes],
             pictures[picture + image_bytes : picture + image_bytes + mask_bytes],
         )
         keyframes.append(keyframe)
-        pose, covariance = Pose2(*arrays["poses"][place].tolist()), arrays["covariances"][place]
-        estimates.append(
-            PoseEstimate(index, name, keyframe.stamp, pose, "tracked", "", fragment, covariance)
-        )
-    return tuple(keyframes), tuple(estimates)
+    return tuple(keyframes)
 
 
 def _check_shapes(arrays: dict[str, NDArray[Any]], norm: DescriptorNorm) -> None:
     """Refuse arrays that do not fit one another."""
     rows, points = arrays["rows"], arrays["points"]
     count, total = len(rows), len(points)
-    _expect(arrays, "rows", (count, _ROW_COLUMNS))
-    for name, shape in (
-        ("stamps", (count,)),
-        ("poses", (count, 3)),
-        ("covariances", (count, 3, 3)),
-    ):
-        _expect(arrays, name, shape)
+    expect(arrays, "rows", (count, _ROW_COLUMNS))
     for name in ("points", "sigmas"):
-        _expect(arrays, name, (total, 2))
+        expect(arrays, name, (total, 2))
     for name in ("scores", "sizes", "angles"):
-        _expect(arrays, name, (total,))
+        expect(arrays, name, (total,))
     descriptors = arrays["descriptors"]
     if descriptors.ndim != 2 or len(descriptors) != total or not 1 <= descriptors.shape[1] <= 4096:
         raise MapError(f"its descriptors have shape {descriptors.shape}")
@@ -275,25 +246,18 @@ def _check_shapes(arrays: dict[str, NDArray[Any]], norm: DescriptorNorm) -> None
         raise MapError(f"it has {count} keyframes")
     if rows.min() < 0 or rows.max() >= 2**31 or len(np.unique(rows[:, 0])) != count:
         raise MapError("the numbers of its keyframes are wrong")
-    if rows[:, 2].max() > MOST_POINTS or rows[:, 2].sum() != total:
+    if rows[:, 1].max() > MOST_POINTS or rows[:, 1].sum() != total:
         raise MapError("the numbers of its points are wrong")
-    if rows[:, 3:5].sum() != len(arrays["pictures"]) or rows[:, 5].sum() != len(arrays["names"]):
-        raise MapError("the lengths of its pictures or names are wrong")
-
-
-def _expect(arrays: dict[str, NDArray[Any]], name: str, shape: tuple[int, ...]) -> None:
-    if arrays[name].shape != shape:
-        raise MapError(f"its {name} have shape {arrays[name].shape}; {shape} is needed")
+    if rows[:, 2:4].sum() != len(arrays["pictures"]):
+        raise MapError("the lengths of its pictures are wrong")
 
 
 def _check_numbers(arrays: dict[str, NDArray[Any]]) -> None:
     """Refuse numbers that no floor has."""
-    for name in ("poses", "covariances", "points", "scores", "sigmas", "sizes", "descriptors"):
+    for name in ("points", "scores", "sigmas", "sizes", "descriptors"):
         values = arrays[name]
         if values.dtype != np.uint8 and not np.all(np.isfinite(values)):
             raise MapError(f"its {name} hold a number that is not finite")
-    if np.abs(arrays["poses"][:, :2]).max() > MOST_METRES:
-        raise MapError("a pose lies off the Earth")
     points = arrays["points"]
     least = min(float(arrays[name].min(initial=1.0)) for name in ("sigmas", "sizes"))
     if np.abs(points).max(initial=0.0) > MOST_METRES or least <= 0.0:
@@ -301,10 +265,6 @@ def _check_numbers(arrays: dict[str, NDArray[Any]]) -> None:
     # Points of an upright or a trained kind have no angle: nan.
     if np.isinf(arrays["angles"]).any():
         raise MapError("its angles hold a number that is not finite")
-    covariances = arrays["covariances"]
-    symmetric = np.allclose(covariances, covariances.transpose(0, 2, 1), rtol=1e-6, atol=1e-12)
-    if not symmetric or np.linalg.eigvalsh(covariances).min() < -1e-12:
-        raise MapError("a covariance is not one")
 
 
 def _joined(pieces: Sequence[NDArray[Any]], kind: Any) -> NDArray[Any]:

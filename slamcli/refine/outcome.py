@@ -15,7 +15,7 @@ from slamcli.stages import camera
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from slamcli.core.records import Calibration, PoseEstimate
+    from slamcli.core.records import Calibration, Link, PoseEstimate
     from slamcli.refine.survey import Registration
     from slamcli.stages import adjustment
 
@@ -57,8 +57,19 @@ def with_views(
     floor_map = registration.floor_map
     if floor_map is not None:
         kept = tuple(by_index[estimate.index] for estimate in floor_map.estimates)
-        floor_map = replace(floor_map, calibration=calibration, estimates=kept)
+        links = tuple(_scaled(link, scale) for link in floor_map.links)
+        floor_map = replace(floor_map, calibration=calibration, estimates=kept, links=links)
     return replace(registration, calibration=calibration, estimates=estimates, floor_map=floor_map)
+
+
+def _scaled(link: Link, scale: float) -> Link:
+    """Return a link in metres that are so many times the ones that it was measured in."""
+    motion, metres = link.a_from_b, np.array([scale, scale, 1.0])
+    return replace(
+        link,
+        a_from_b=Pose2(scale * motion.x, scale * motion.y, motion.theta),
+        covariance=link.covariance * np.outer(metres, metres),
+    )
 
 
 def with_range(before: Calibration, calibration: Calibration) -> Calibration:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.config import Datum
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import pose_array
 from slamcli.graph import placed_fragments
@@ -61,6 +62,16 @@ def write_exports(folder: Path, kinds: Sequence[str], found: Registration, mappe
             places = on_earth.east_north_from_map.apply(poses[:, :2])
             tracks[fragment] = LocalPlane(on_earth.datum_degrees).geodetic(places)
         write_geojson(folder / "track.geojson", tracks)
+
+
+def datums(mapper: Mapper) -> dict[int, Datum]:
+    """Return where the origins of the fragments that GPS tells of lie."""
+    found = {}
+    for fragment, on_earth in mapper.georeferences.items():
+        pose, plane = on_earth.east_north_from_map, LocalPlane(on_earth.datum_degrees)
+        latitude, longitude = plane.geodetic([(pose.x, pose.y)])[0].tolist()
+        found[fragment] = Datum(latitude, longitude, pose.theta)
+    return found
 
 
 def georeference_table(found: Georeference) -> dict[str, Scalar]:

@@ -64,7 +64,7 @@ def open_inputs(
     calibration = load_calibration(path)
     if max_range_metres is not None:
         calibration = replace(calibration, max_range_metres=max_range_metres)
-    _check_size(files, calibration, path)
+    check_size(files, calibration, path)
     return Inputs(files, calibration, path, note)
 
 
@@ -87,7 +87,7 @@ def _first_size(files: Sequence[FrameFile]) -> tuple[int, int]:
     raise InputError(f"none of the {len(files)} frames can be read; the first, {reason}")
 
 
-def _check_size(files: Sequence[FrameFile], calibration: Calibration, path: Path) -> None:
+def check_size(files: Sequence[FrameFile], calibration: Calibration, path: Path) -> None:
     """Refuse a calibration of another image size early, not once for every frame."""
     size = _first_size(files)
     if size == calibration.image_size:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -19,12 +20,12 @@ from slamcli.stages.draw.trajectory import draw_trajectory
 from slamcli.stages.mosaic import obstacles, tiles
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from slamcli.core.config import Layer, ProductOptions
+    from slamcli.core.config import Datum, Layer, ProductOptions
     from slamcli.core.records import PoseEstimate, Unit
     from slamcli.io.tilestore import StoredTile, TileStore
     from slamcli.run.executor import Progress
@@ -57,6 +58,7 @@ _OVERVIEW_PIXELS = 1600
 def write_maps(
     scenes: Sequence[tuple[Scene, Sequence[PoseEstimate]]],
     options: ProductOptions,
+    datums: Mapping[int, Datum],
     staging: Path,
     tiles_folder: Path,
     workers: int,
@@ -69,6 +71,11 @@ def write_maps(
 
     The first is ``mosaic``, the next ``mosaic_1`` and so on. When the user interrupts, what has
     been painted is written.
+
+    Parameters
+    ----------
+    datums : mapping of int to Datum
+        Where fragments lie on Earth, for those that the options do not tell it of.
     """
     for scene, _ in scenes:
         check_scene(scene, options)
@@ -81,7 +88,8 @@ def write_maps(
         )
         unit = scene.calibration.unit
         turned = scene.map_from_painted
-        grid = write_products(staging, suffix, store, scale, unit, turned, options, workers)
+        told = replace(options, datum=options.datum or datums.get(estimates[0].fragment))
+        grid = write_products(staging, suffix, store, scale, unit, turned, told, workers)
         if grid is not None:
             area += store.seen_pixels() * scale**2
             image, mask, small = overview(store, grid)

@@ -52,13 +52,14 @@ def render(
     products.check_formats(options)
     run = read_run(run_folder)
     files = list_frames(run.sources if frames is None else [frames])
-    scenes = scenes_of(run.calibration, run.estimates, partial(_file, files), options.turn_radians)
+    where = partial(file_of, files, remedy="give their folder with --frames")
+    scenes = scenes_of(run.calibration, run.estimates, where, options.turn_radians)
     with (
         interruptible() as interruption,
         output_folder(output, products.PRODUCTS, overwrite=overwrite) as staging,
     ):
         area = products.write_maps(
-            scenes, options, staging, staging / "tiles", workers, progress, tell, interruption
+            scenes, options, {}, staging, staging / "tiles", workers, progress, tell, interruption
         )
         remove_folder(staging / "tiles")
     unit = run.calibration.unit
@@ -73,11 +74,16 @@ def render(
     return lines
 
 
-def _file(files: Sequence[FrameFile], estimate: PoseEstimate) -> FrameFile:
-    """Return a placed frame's file, by its place in the sequence, which its name confirms."""
+def file_of(files: Sequence[FrameFile], estimate: PoseEstimate, *, remedy: str) -> FrameFile:
+    """Return a frame's file, by its place in the sequence, which its name confirms.
+
+    Raises
+    ------
+    InputError
+        When that is another frame; with what to do.
+    """
     if estimate.index < len(files) and files[estimate.index].name == estimate.name:
         return files[estimate.index]
     raise InputError(
-        f"the frames are not those of the map: frame {estimate.index} was {estimate.name}; "
-        "give their folder with --frames"
+        f"the frames are not those of the map: frame {estimate.index} was {estimate.name}; {remedy}"
     )

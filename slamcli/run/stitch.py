@@ -20,6 +20,7 @@ from slamcli.io.poses import write_poses
 from slamcli.mapper import Mapper
 from slamcli.run import exports, products, reporting
 from slamcli.run.executor import ordered
+from slamcli.run.extension import open_extension
 from slamcli.run.inputs import open_inputs
 from slamcli.run.interruption import interruptible
 from slamcli.run.networks import (
@@ -78,6 +79,8 @@ class StitchOptions:
         Also draw every frame's matches.
     export : tuple of str
         What else to write; see `slamcli.run.exports`.
+    extend : Path or None
+        A finished map that is gone on with.
     resume : bool
         Go on with what an earlier run of the same kind, cut off, has left.
     workers : int
@@ -96,6 +99,7 @@ class StitchOptions:
     self_calibrate: bool = False
     debug: bool = False
     export: tuple[str, ...] = ()
+    extend: Path | None = None
     resume: bool = False
     workers: int = 1
     scheduler: str = ""
@@ -119,12 +123,21 @@ def stitch(
     InputError, CalibrationError, OutputError
     """
     started = time.monotonic()
-    inputs = open_inputs(sources, calibration_path, options.frame_rate, options.max_range_metres)
+    files = telemetry or TelemetryFiles()
+    extended = None
+    if options.extend is not None:
+        _check_alone(options, calibration_path, files)
+        extended = open_extension(options.extend, sources, options.frame_rate)
+        inputs, sources = extended.inputs, extended.sources
+        options = replace(options, mapper=extended.options(options.mapper))
+    else:
+        inputs = open_inputs(
+            sources, calibration_path, options.frame_rate, options.max_range_metres
+        )
     if options.scheduler:
         # Workers stand in folders of their own.
         found_at = [replace(file, path=file.path.resolve()) for file in inputs.files]
         inputs = replace(inputs, files=found_at)
-    files = telemetry or TelemetryFiles()
     readings = read_telemetry(files, inputs)
     exports.check_exports(options.export, inputs.files, has_gps=bool(readings.gps))
     products.check_formats(options.products)
@@ -134,6 +147,8 @@ def stitch(
             "(slam calibrate --refine), then give what comes of it with the other senses"
         )
     new = Mapper(inputs.calibration, _with_networks(options), options.telemetry)
+    if extended is not None:
+        new.extend(extended.floor_map)
     if not readings.find_time_offset:
         feed(new, readings)
     patterns = (*PRODUCTS, DEBUG_PRODUCTS)
@@ -163,6 +178,7 @@ def stitch(
         area = products.write_maps(
             scenes,
             options.products,
+            exports.datums(mapper),
             staging,
             unfinished if interruption.happened else checkpoint.tiles,
             options.workers,
@@ -194,6 +210,19 @@ def stitch(
         refined,
         interrupted=interruption.happened,
     )
+
+
+def _check_alone(
+    options: StitchOptions, calibration_path: Path | None, files: TelemetryFiles
+) -> None:
+    """Refuse what a finished map cannot be gone on with."""
+    if calibration_path is not None or options.max_range_metres is not None:
+        raise InputError("--extend goes on with the map's own camera; leave out -c and --max-range")
+    if options.self_calibrate or files.odometry or files.compass or files.gps:
+        raise InputError(
+            "--extend works by the frames alone, with the camera as it is; leave out "
+            "--self-calibrate, --odometry, --compass and --gps, or stitch both drives anew"
+        )
 
 
 def _begin(

@@ -23,7 +23,7 @@ from slamcli.stages.posegraph.factors import Heading, Place, SenseOffsets, Solut
 from slamcli.stages.posegraph.marginals import diagonal_blocks
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
     from types import ModuleType
     from typing import Literal
 
@@ -58,6 +58,8 @@ def solve(
     places: Sequence[Place] = (),
     *,
     lever_arm_metres: tuple[float, float] | None = (0.0, 0.0),
+    held: Collection[int] = (),
+    prior: SenseOffsets | None = None,
     solver: Solver | None = None,
 ) -> Solution:
     """Solve one connected component, its first frame held where it is.
@@ -72,11 +74,23 @@ def solve(
         Only of frames of `initial`.
     lever_arm_metres : (float, float) or None
         Of the GPS antenna; None estimates it.
+    held : collection of int
+        Frames held where they are in place of the first one; covariances are as if they were known.
+    prior : SenseOffsets or None
+        What readings besides the given ones told of them; of the antenna this is taken for certain.
     solver : str or None
         None takes GTSAM where it is installed; for headings and places always scipy.
     """
     frames = sorted(initial)
-    problem = build(frames, links, headings, places, lever_known=lever_arm_metres is not None)
+    problem = build(
+        frames,
+        links,
+        headings,
+        places,
+        lever_known=lever_arm_metres is not None,
+        held=held,
+        prior=prior,
+    )
     first = first_state(
         problem,
         pose_array([initial[frame] for frame in frames]),
@@ -102,7 +116,9 @@ def _agreed(
     motions = len(problem.motions.a)
     # A step is above suspicion while it agrees with its neighbours, without any loop.
     chain, _ = _spanning(problem, len(state.poses), np.flatnonzero(trusted[:motions]))
-    roots = np.array([group[0] for group in chain.groups()])
+    anchors = set(problem.anchors.tolist())
+    free = [group[0] for group in chain.groups() if anchors.isdisjoint(group)]
+    roots = np.array(sorted([*anchors, *free]))
     alone = solver.optimise(replace(problem, anchors=roots), state, trusted.astype(np.float64))
     steady = trusted & (problem.squared_errors(alone) <= sparse_solver.THRESHOLD)
     alone = first_state(problem, alone.poses, alone.lever_arm)
@@ -154,8 +170,13 @@ def _settled(
 
 
 def _spanning(problem: Problem, count: int, order: NDArray[np.int64]) -> tuple[Sets, list[int]]:
-    """Return what motions tie together, and the first ones in an order that do (Kruskal, 1956)."""
+    """Return what motions tie together, and the first ones in an order that do (Kruskal, 1956).
+
+    What is held needs no motion between it.
+    """
     sets = Sets(range(count))
+    for anchor in problem.anchors.tolist():
+        sets.merge(int(problem.anchors[0]), anchor)
     ends = zip(
         order.tolist(),
         problem.motions.a[order].tolist(),

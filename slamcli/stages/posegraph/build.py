@@ -6,16 +6,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamcli.core.geometry import compose_poses, pose_array
-from slamcli.stages.posegraph.problem import Headings, Motions, Places, Problem, State
+from slamcli.core.geometry import Pose2, compose_poses, pose_array
+from slamcli.stages.posegraph.problem import (
+    ANCHOR_SIGMA,
+    Headings,
+    Motions,
+    Places,
+    Problem,
+    SensePrior,
+    State,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from numpy.typing import NDArray
 
     from slamcli.core.records import Link
-    from slamcli.stages.posegraph.factors import Heading, Place
+    from slamcli.stages.posegraph.factors import Heading, Place, SenseOffsets
 
 _REWEIGHTINGS = 30
 # Metres within which a place counts in full as the first guess is made.
@@ -29,8 +37,16 @@ def build(
     places: Sequence[Place],
     *,
     lever_known: bool,
+    held: Collection[int] = (),
+    prior: SenseOffsets | None = None,
 ) -> Problem:
-    """Return the problem over frames, in the order of their poses; the first pose is held."""
+    """Return the problem over frames, in the order of their poses; the first one is held, if none.
+
+    Parameters
+    ----------
+    prior : SenseOffsets or None
+        What earlier readings told of them.
+    """
     pose_of = {frame: place for place, frame in enumerate(frames)}
     return Problem(
         Motions(
@@ -58,9 +74,10 @@ def build(
                 np.array([place.share for place in places]),
             ]
         ),
-        np.array([0]),
+        _numbers(sorted(pose_of[frame] for frame in held) or [0]),
         lever_known,
         len(frames),
+        None if prior is None else _prior(prior),
     )
 
 
@@ -68,6 +85,8 @@ def first_state(
     problem: Problem, poses: NDArray[np.float64], lever_arm: NDArray[np.float64]
 ) -> State:
     """Return first poses with the compass's offset and the datum that most readings agree on."""
+    if problem.prior is not None:
+        return State(poses, problem.prior.senses)
     senses = np.zeros(6)
     senses[4:] = lever_arm
     if len(problem.headings.pose):
@@ -78,6 +97,19 @@ def first_state(
         in_map = compose_poses(poses[problem.places.pose], antenna)[:, :2]
         senses[1:4] = _align(in_map, problem.places.east_north)
     return State(poses, senses)
+
+
+def _prior(offsets: SenseOffsets) -> SensePrior:
+    """Return offsets, of which the lever arm is taken for certain, as a prior."""
+    datum = offsets.east_north_from_map
+    back = Pose2(0.0, 0.0, -datum.theta).matrix
+    covariance = ANCHOR_SIGMA**2 * np.eye(6)
+    covariance[0, 0] = offsets.compass_offset_sigma_radians**2
+    covariance[1:4, 1:4] = back @ offsets.east_north_covariance @ back.T
+    senses = (offsets.compass_offset_radians, datum.x, datum.y, datum.theta)
+    return SensePrior(
+        np.array([*senses, *offsets.lever_arm_metres]), _whitenings(covariance[None])[0]
+    )
 
 
 def _numbers(values: list[int]) -> NDArray[np.int64]:

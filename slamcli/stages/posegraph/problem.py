@@ -127,6 +127,28 @@ class Places:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SensePrior:
+    """What earlier readings told of the senses' offsets, and how surely.
+
+    Attributes
+    ----------
+    senses : (6,) float64
+        As in `State`.
+    whitening : (6, 6) float64
+        Turns what a state is off that, in its own axes, into one of unit covariance.
+    """
+
+    senses: NDArray[np.float64]
+    whitening: NDArray[np.float64]
+
+    def errors(self, state: State) -> NDArray[np.float64]:
+        """Return (6,): by how much a state is off, whitened."""
+        off = state.senses - self.senses
+        off[1:4] = relative_poses(self.senses[1:4], state.east_north_from_map)
+        return np.asarray(self.whitening @ off)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Problem:
     """All factors, numbered on from motions over headings to places.
 
@@ -136,9 +158,10 @@ class Problem:
     shares : (F,) float64
         What each factor counts beside one that errs independently of all others.
     anchors : (A,) int64
-        Places of the poses that are held: one for all that hangs together.
+        Places of the poses that are held: at least one for all that hangs together.
     lever_known : bool
     pose_count : int
+    prior : SensePrior or None
     """
 
     motions: Motions
@@ -148,6 +171,7 @@ class Problem:
     anchors: NDArray[np.int64]
     lever_known: bool
     pose_count: int
+    prior: SensePrior | None = None
 
     def __len__(self) -> int:
         return len(self.motions.a) + len(self.headings.pose) + len(self.places.pose)
@@ -163,18 +187,22 @@ class Problem:
 
     def cost(self, state: State, weights: NDArray[np.float64]) -> float:
         """Return the weighted sum of squares that a solution makes least."""
-        lever = float(np.sum(self._lever_errors(state) ** 2))
-        return float((weights * self.shares) @ self.squared_errors(state)) + lever
+        known = float(np.sum(self._sense_errors(state) ** 2))
+        return float((weights * self.shares) @ self.squared_errors(state)) + known
 
     @property
-    def _sense_sigmas(self) -> NDArray[np.float64]:
+    def _sense_whitening(self) -> NDArray[np.float64]:
+        if self.prior is not None:
+            return self.prior.whitening
         lever = ANCHOR_SIGMA if self.lever_known else _LEVER_SIGMA
-        return np.array([_LOOSE_SIGMA] * 4 + [lever] * 2)
+        return np.diag(1.0 / np.array([_LOOSE_SIGMA] * 4 + [lever] * 2))
 
-    def _lever_errors(self, state: State) -> NDArray[np.float64]:
-        if self.lever_known:
-            return np.zeros(2)
-        return state.lever_arm / _LEVER_SIGMA
+    def _sense_errors(self, state: State) -> NDArray[np.float64]:
+        """Return (6,): by how much the senses' offsets are off what is known beforehand."""
+        if self.prior is not None:
+            return self.prior.errors(state)
+        lever = np.zeros(2) if self.lever_known else state.lever_arm / _LEVER_SIGMA
+        return np.concatenate([np.zeros(4), lever])
 
     def linearise(self, state: State, weights: NDArray[np.float64]) -> Equations:
         """Return the normal equations at a state, each factor weighted; those at 0 leave no trace.
@@ -199,13 +227,13 @@ class Problem:
         equations.add([np.arange(3 * count).reshape(-1, 3)], [anywhere], np.zeros((count, 3)))
         held = len(self.anchors)
         firm = np.broadcast_to(np.eye(3) / ANCHOR_SIGMA, (held, 3, 3))
-        equations.add(
-            [3 * self.anchors[:, None] + np.arange(3)], [np.asarray(firm)], np.zeros((held, 3))
-        )
-        slopes = 1.0 / self._sense_sigmas
-        residuals = np.concatenate([np.zeros(4), self._lever_errors(state)])
+        fixed = 3 * self.anchors[:, None] + np.arange(3)
+        equations.add([fixed], [np.asarray(firm)], np.zeros((held, 3)))
+        # Else what is held between others would creep, a little each step, and none be the last.
+        equations.gradient[fixed] = 0.0
         senses = (3 * count + np.arange(6))[None]
-        equations.add([senses], [np.diag(slopes)[None]], residuals[None])
+        slopes, residuals = self._sense_whitening, self._sense_errors(state)
+        equations.add([senses], [slopes[None]], residuals[None])
         return equations
 
 
