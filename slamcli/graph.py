@@ -85,10 +85,6 @@ class Graph:
         """Return whether a frame has a pose."""
         return self._estimates[index].map_from_robot is not None
 
-    def is_tracked(self, index: int) -> bool:
-        """Return whether a frame was placed by what it shows."""
-        return self._estimates[index].status == "tracked"
-
     def begin_fragment(self, prepared: Prepared) -> PoseEstimate:
         """Make a frame the origin of a map of its own, unless odometry has carried it here."""
         known = self._estimates.get(prepared.index)
