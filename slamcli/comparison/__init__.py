@@ -150,7 +150,12 @@ class _Case:
         found: dense.Search | None,
     ) -> Trial:
         """Believe the motion that explains the pixels best, if it does so well and alone."""
+        backed_by_features = by_features is not None and belief.backing(
+            self.alignment, self.options
+        )
         if by_features is not None:
+            if backed_by_features:
+                fits = self._of_the_floor(fits, pair, by_features)
             fits = [*fits, by_features]
         fits = hypotheses.distinct(fits, pair)
         if not fits:
@@ -160,10 +165,8 @@ class _Case:
         best = fits[0]
         rival = self._rival(pair, best, fits[1:])
         differs = by_features is not None and not hypotheses.same(by_features.pose, best.pose, pair)
-        backed = (
-            by_features is not None and not differs and belief.backing(self.alignment, self.options)
-        )
-        doubt = belief.implausible(best, self.way_metres, self.options)
+        backed = backed_by_features and not differs
+        doubt = belief.implausible(best, self.way_metres, self.options, backed=backed)
         if not doubt and not backed:
             doubt = belief.unlike(pair, best, self.options)
         if not doubt and differs and belief.many(self.alignment, self.options):
@@ -173,6 +176,19 @@ class _Case:
         if not doubt and not backed:
             doubt = belief.undetermined(best, self.calibration.max_range_metres, self.options)
         return self.trial(best, doubt, rival, found)
+
+    def _of_the_floor(
+        self, fits: list[Hypothesis], pair: Pair, by_features: Hypothesis
+    ) -> list[Hypothesis]:
+        """Leave out what legs make of a motion that features speak for, and their own motions."""
+        kept = []
+        for fit in fits:
+            if hypotheses.same(fit.pose, by_features.pose, pair):
+                if not belief.crowded(by_features):
+                    kept.append(fit)
+            elif not belief.implausible(fit, self.way_metres, self.options):
+                kept.append(fit)
+        return kept
 
     def _rival(self, pair: Pair, best: Hypothesis, others: list[Hypothesis]) -> float:
         """Return the evidence of the strongest motion that the best does not stand out from."""

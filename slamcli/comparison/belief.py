@@ -23,6 +23,9 @@ _LEAST_DENSE_OVERLAP = 0.2
 # without number agree too, as many as must in any case are enough.
 _CONFIRMED = 0.5
 _LEAST_CONFIRMED = 0.35
+# On a bare floor most of the patches that tell may show legs; those that agree with what many
+# features say are no accident then.
+_LEAST_BACKED = 0.1
 # On a floor with too few patches to vote, the little that there is must agree by so much better
 # where the camera's noise hides whether the rest does.
 _FEW_PATCHES_HANDICAP = 0.4
@@ -46,6 +49,11 @@ def backing(alignment: Alignment, options: MapperOptions) -> bool:
     return alignment.inlier_count >= _BACKING * options.matching.min_inliers
 
 
+def crowded(fit: Hypothesis) -> bool:
+    """Return whether most of what tells something stands or walks on the floor."""
+    return fit.agreed.confirmed < hypotheses.MOSTLY
+
+
 def few(alignment: Alignment, options: MapperOptions) -> str:
     """Return why features alone are not believed."""
     return (
@@ -61,9 +69,24 @@ def way_metres(first: int, second: int, options: MapperOptions) -> float:
 
 
 def implausible(
-    fit: Hypothesis, most_metres: float, options: MapperOptions, *, beside_features: bool = False
+    fit: Hypothesis,
+    most_metres: float,
+    options: MapperOptions,
+    *,
+    beside_features: bool = False,
+    backed: bool = False,
 ) -> str:
-    """Return why a fit is not plausible, or contradicted by the pixels."""
+    """Return why a fit is not plausible, or contradicted by the pixels.
+
+    Parameters
+    ----------
+    most_metres : float
+        The farthest that the robot may have gone.
+    beside_features : bool
+        Whether the pixels are asked for no more than not to contradict the features.
+    backed : bool
+        Whether so many features agree with the fit that few pixels need to.
+    """
     way = fit.pose.translation_length
     if way > most_metres:
         return f"the fit moves the robot by {way:.3g}; at most {most_metres:.3g} is plausible"
@@ -78,12 +101,13 @@ def implausible(
             f"the fit leaves an overlap of {fit.agreed.overlap:.0%}; "
             f"at least {options.min_overlap:.0%} is needed"
         )
-    if fit.agreed.confirmed < _LEAST_CONFIRMED:
+    least = _LEAST_BACKED if backed else _LEAST_CONFIRMED
+    if fit.agreed.confirmed < least:
         return (
             f"only {fit.agreed.confirmed:.0%} of the floor's patches agree with the fit; "
-            f"at least {_LEAST_CONFIRMED:.0%} must"
+            f"at least {least:.0%} must"
         )
-    enough = _LEAST_CONFIRMED if beside_features else _CONFIRMED
+    enough = least if backed or beside_features else _CONFIRMED
     if not fit.agreed.correlation >= options.min_score and not fit.agreed.confirmed >= enough:
         return (
             f"the pixels disagree with the fit: correlation {fit.agreed.correlation:.2f}; "

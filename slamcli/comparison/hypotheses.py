@@ -35,6 +35,8 @@ _CONTRAST_HANDICAP = 0.0475
 _ROCKING_SHARE = 0.6
 # A robot may rock so much more than its tilt sigma says, where the pixels ask for it.
 _ROCKING_TIMES = 5.0
+# Of the patches that tell.
+MOSTLY = 0.5
 # Of the patches, for a motion; so many times those for its rival.
 _LEAST_PREFERENCE, _PREFERENCE_TIMES = 0.02, 4.0
 # By so much more must views be alike on the coarsest level, whose few pixels agree by chance.
@@ -129,8 +131,13 @@ def polish(
     start = judge(pair, pose, covariance, pose.matrix)
     if not options.refine and covariance is not None:
         return start
-    # Features come within a pixel of the finest levels; what a search found starts at the coarsest.
-    levels = slice(0, 2) if covariance is not None else slice(None)
+    levels_a, levels_b = pair.a, pair.b
+    if covariance is not None:
+        # Features come within a pixel of the finest levels; a search's finds start at the coarsest.
+        levels_a, levels_b = pair.a[:2], pair.b[:2]
+        if start.agreed.confirmed < MOSTLY:
+            # Most of what is seen stands or walks, and would pull the motion to its own.
+            levels_a = dense.agreeing(levels_a, levels_b[0], start.view_a_from_view_b)
     best = start
     steady = math.radians(options.tilt_sigma_degrees)
     # Among bare lines, where no features are, a large tilt passes for a turn. What lies far off
@@ -141,7 +148,7 @@ def polish(
             break
         # Each from where the features or the search led: without the rocking that there is, the
         # refinement may have gone astray.
-        refined = dense.refine(pair.a[levels], pair.b[levels], pose, calibration, tilt)
+        refined = dense.refine(levels_a, levels_b, pose, calibration, tilt)
         if refined is None:
             continue
         fit = judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)

@@ -1,6 +1,6 @@
 """Two views compared pixel by pixel: searched, refined, and judged."""
 
-from slamcli.stages.dense.agreement import Agreement, agreement, overlap, preference
+from slamcli.stages.dense.agreement import Agreement, agreeing, agreement, overlap, preference
 from slamcli.stages.dense.levels import levels_from_half, make_levels
 from slamcli.stages.dense.refinement import Known, Refinement, refine
 from slamcli.stages.dense.repetition import repeats
@@ -15,6 +15,7 @@ __all__ = [
     "Search",
     "Standing",
     "Window",
+    "agreeing",
     "agreement",
     "evidence",
     "levels_from_half",

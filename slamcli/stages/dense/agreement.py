@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -12,6 +12,8 @@ import numpy as np
 from slamcli.core.geometry import apply_homography, invert
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from slamcli.core.geometry import Pose2
@@ -120,6 +122,44 @@ def preference(
         float(np.count_nonzero(clearly > _CLEARLY) / count),
         float(np.count_nonzero(clearly < -_CLEARLY) / count),
     )
+
+
+def agreeing(
+    levels_a: Sequence[DenseLevel], b: DenseLevel, view_a_from_view_b: NDArray[np.float64]
+) -> tuple[DenseLevel, ...]:
+    """Return levels of view a with those points alone that lie in patches which agree with b.
+
+    What stands or walks on the floor has no say then.
+
+    Parameters
+    ----------
+    levels_a : sequence of DenseLevel
+        From fine to coarse.
+    b : DenseLevel
+        The finest of the other view.
+    view_a_from_view_b : (3, 3) float64
+    """
+    finest = levels_a[0]
+    patches, telling = _patch_correlations(
+        finest.image, *_laid_over(finest, b, view_a_from_view_b), _telling_gray(finest, b)
+    )
+    rows, columns = (side // _PATCH_PIXELS for side in finest.image.shape)
+    agree = (telling & (patches > _PATCH_CORRELATION)).reshape(rows, columns)
+    kept = []
+    for level in levels_a:
+        pixels = apply_homography(finest.pixel_from_metres, level.points)
+        column, row = np.floor_divide(np.rint(pixels), _PATCH_PIXELS).astype(np.int64).T
+        inside = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
+        inside[inside] = agree[row[inside], column[inside]]
+        kept.append(
+            replace(
+                level,
+                points=level.points[inside],
+                values=level.values[inside],
+                gradients=level.gradients[inside],
+            )
+        )
+    return tuple(kept)
 
 
 def _laid_over(
