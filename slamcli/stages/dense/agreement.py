@@ -29,8 +29,13 @@ _TELLING_GRAY = 3.0
 _TELLING_NOISE_SHARE = 0.7
 _LEAST_PATCHES = 12
 _PATCH_CORRELATION = 0.5
-# By so much better must a patch agree under one motion to speak for it.
-_CLEARLY = 0.2
+# Two motions are compared at a quarter of the resolution, where noise and what a view farther away
+# blurs differ little: by so much better must a patch agree under one motion to speak for it, and so
+# well, as what legs hide agrees with neither, by chance better with one.
+_PREFERENCE_PATCH_PIXELS = 12
+_HALVED_NOISE = 0.5
+_BETTER = 0.05
+_WELL = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +92,7 @@ def agreement(a: DenseLevel, b: DenseLevel, view_a_from_view_b: NDArray[np.float
     values_b -= values_b.mean()
     norm = math.sqrt(float(values_a @ values_a) * float(values_b @ values_b))
     correlation = float(values_a @ values_b) / norm if norm > 0 else 0.0
-    patches, telling = _patch_correlations(a.image, moved, both, _telling_gray(a, b))
+    patches, telling = _patch_correlations(a.image, moved, both, _PATCH_PIXELS, _telling_gray(a, b))
     confirmed = math.nan
     if np.count_nonzero(telling) >= _LEAST_PATCHES:
         agree = patches > _PATCH_CORRELATION
@@ -103,25 +108,27 @@ def preference(
 ) -> tuple[float, float]:
     """Return which share of the patches that tell speak clearly for one motion, and for its rival.
 
-    Where a floor repeats, both motions explain nearly all of it; scratches and stains tell them
-    apart, in the few patches that have some. nan where too few patches tell of both.
+    Where a floor repeats, both motions explain nearly all of it; scratches, stains and wear tell
+    them apart, by a little in each of many patches. What agrees under the one alone may be a leg,
+    and is no word for it. nan where too few patches tell of both.
 
     Parameters
     ----------
+    a, b : DenseLevel
+        The second of each pyramid.
     view_a_from_view_b, rival : (3, 3) float64
     """
-    least = _telling_gray(a, b)
-    first, telling = _patch_correlations(a.image, *_laid_over(a, b, view_a_from_view_b), least)
-    second, also = _patch_correlations(a.image, *_laid_over(a, b, rival), least)
+    side, least = _PREFERENCE_PATCH_PIXELS, _telling_gray(a, b, _HALVED_NOISE)
+    laid_over = _laid_over(a, b, view_a_from_view_b)
+    first, telling = _patch_correlations(a.image, *laid_over, side, least)
+    second, also = _patch_correlations(a.image, *_laid_over(a, b, rival), side, least)
     both = telling & also
     count = np.count_nonzero(both)
     if count < _LEAST_PATCHES:
         return math.nan, math.nan
-    clearly = (first - second)[both]
-    return (
-        float(np.count_nonzero(clearly > _CLEARLY) / count),
-        float(np.count_nonzero(clearly < -_CLEARLY) / count),
-    )
+    pro = both & (first > np.maximum(second + _BETTER, _WELL)) & (second > _PATCH_CORRELATION)
+    contra = both & (second > np.maximum(first + _BETTER, _WELL))
+    return float(np.count_nonzero(pro) / count), float(np.count_nonzero(contra) / count)
 
 
 def agreeing(
@@ -141,7 +148,10 @@ def agreeing(
     """
     finest = levels_a[0]
     patches, telling = _patch_correlations(
-        finest.image, *_laid_over(finest, b, view_a_from_view_b), _telling_gray(finest, b)
+        finest.image,
+        *_laid_over(finest, b, view_a_from_view_b),
+        _PATCH_PIXELS,
+        _telling_gray(finest, b),
     )
     rows, columns = (side // _PATCH_PIXELS for side in finest.image.shape)
     agree = (telling & (patches > _PATCH_CORRELATION)).reshape(rows, columns)
@@ -175,9 +185,9 @@ def _laid_over(
     return np.asarray(moved, np.uint8), (np.asarray(seen) == 255) & (a.mask == 255)
 
 
-def _telling_gray(a: DenseLevel, b: DenseLevel) -> float:
-    """Return by how much a patch must vary to tell something."""
-    noise_gray = max(a.frame_noise_gray, b.frame_noise_gray)
+def _telling_gray(a: DenseLevel, b: DenseLevel, noise_share: float = 1.0) -> float:
+    """Return by how much a patch must vary to tell something, where so much noise is left."""
+    noise_gray = noise_share * max(a.frame_noise_gray, b.frame_noise_gray)
     return max(_TELLING_GRAY, _TELLING_NOISE_SHARE * noise_gray)
 
 
@@ -185,15 +195,16 @@ def _patch_correlations(
     image_a: NDArray[np.uint8],
     image_b: NDArray[np.uint8],
     both: NDArray[np.bool_],
+    side: int,
     telling_gray: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return each patch's own correlation, and whether it is whole and shows more than noise."""
-    rows, columns = (side - side % _PATCH_PIXELS for side in both.shape)
+    rows, columns = (whole - whole % side for whole in both.shape)
     first, second, weight = (
         picture[:rows, :columns]
-        .reshape(rows // _PATCH_PIXELS, _PATCH_PIXELS, columns // _PATCH_PIXELS, _PATCH_PIXELS)
+        .reshape(rows // side, side, columns // side, side)
         .transpose(0, 2, 1, 3)
-        .reshape(-1, _PATCH_PIXELS**2)
+        .reshape(-1, side**2)
         for picture in (image_a, image_b, both)
     )
     whole = weight.all(axis=1)
