@@ -156,13 +156,24 @@ class Graph:
         self.links.append(same)
         return kept
 
-    def lose(self, prepared: Prepared, reason: str) -> PoseEstimate:
-        """Keep a frame that its picture does not place: predicted by odometry, or lost."""
+    def lose(self, prepared: Prepared, reason: str, partial: Link | None = None) -> PoseEstimate:
+        """Keep a frame that its picture does not place: predicted by odometry, or lost.
+
+        Parameters
+        ----------
+        prepared : Prepared
+        reason : str
+        partial : Link or None
+            To a placed frame: what the picture tells of some directions. Odometry fills the others.
+        """
         lacking = lost(prepared, reason)
-        latest = self._latest_placed
+        latest = self._latest_placed if partial is None else self._estimates[partial.a]
         link = None if latest is None else self.senses.link(latest, lacking)
         if latest is None or link is None:
             return self._keep(lacking)
+        if partial is not None:
+            self.links.append(partial)
+            link = posegraph.fuse(link, partial)
         assert latest.covariance is not None
         pose = self.pose(latest.index) @ link.a_from_b
         covariance = posegraph.compose_covariance(latest.covariance, link.a_from_b, link.covariance)
@@ -333,7 +344,7 @@ class Graph:
         self._offsets[fragment] = solution.offsets
         self.switched_off = self.switched_off.difference(weighed.numbers) | weighed.switched_off
         used = set(weighed.numbers) - weighed.switched_off
-        shown = [self.links[number] for number in used if self.links[number].kind != "odometry"]
+        shown = [self.links[n] for n in used if self.links[n].kind not in {"odometry", "partial"}]
         seen = {end for link in shown for end in (link.a, link.b)}
         for index in initial:
             known = self._estimates[index]

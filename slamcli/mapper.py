@@ -229,8 +229,14 @@ class Mapper:
                 self._begin_fragment(stray)
                 self._place(prepared, [trial])
                 return self._graph.revise(prepared.index, (stray.index,))
+        reason = _telling(trials).reason
+        partial = next((t.partial for t in trials if t.partial is not None), None)
+        if partial is not None and self._graph.carried(partial.a, prepared) is not None:
+            # Odometry tells the rest; the next frame may show as much of this one.
+            self._stray, self._placed = None, prepared
+            return self._graph.lose(prepared, reason, partial)
         self._stray = prepared
-        return self._graph.lose(prepared, _telling(trials).reason)
+        return self._graph.lose(prepared, reason)
 
     def floor_map(self) -> FloorMap | None:
         """Return what it takes to find oneself in the map so far; None while nothing is placed."""

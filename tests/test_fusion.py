@@ -277,6 +277,43 @@ def test_a_disturbed_odometry_does_not_move_what_the_frames_show() -> None:
 CAMERA = CameraOptions(size=(400, 300), height_metres=0.2, pitch_degrees=45.0)
 
 
+def paint_a_line(grid: slamcli.Grid) -> np.ndarray:
+    y = grid.y_max - grid.metres_per_pixel * np.arange(grid.height)
+    line = np.broadcast_to((np.abs(y - 0.03) < 0.012)[:, None], (grid.height, grid.width))
+    gray = np.where(line, np.uint8(220), np.uint8(60))
+    return np.ascontiguousarray(np.repeat(gray[..., None], 3, axis=2))
+
+
+def test_a_plain_line_holds_the_heading_and_the_way_across_it_beside_odometry() -> None:
+    floor = floors.BlockFloor(paint_a_line, 0.001)
+    photographer = photograph.Photographer(photograph.World(floor), photograph.make_camera(CAMERA))
+    truth = [
+        Pose2(0.03 * i, 0.01 * math.sin(0.3 * i), 0.05 * math.sin(0.3 * i + 1)) for i in range(5)
+    ]
+    mapper = slamcli.Mapper(photographer.calibration)
+    felt = Pose2()
+    for index, pose in enumerate(truth):
+        if index:
+            step = truth[index - 1].inverse() @ pose
+            felt = felt @ Pose2(1.02 * step.x, 1.02 * step.y, step.theta + 0.01)
+        mapper.odometry(OdometryReading(0.2 * index, felt))
+        generator = np.random.default_rng(index)
+        still = (pose, pose)
+        picture = photograph.take(photographer, still, 0.0, DisturbanceOptions(), generator)
+        mapper.update(slamcli.Frame(index, str(index), 0.2 * index, picture))
+    streamed = mapper.estimates
+    for estimates in (streamed, mapper.finish()):
+        assert {e.status for e in estimates[1:]} == {"predicted"}
+        for estimate, pose in zip(estimates, truth, strict=True):
+            assert estimate.map_from_robot is not None
+            off = (truth[0].inverse() @ pose).inverse() @ estimate.map_from_robot
+            line = -pose.theta
+            across = -off.x * math.sin(line) + off.y * math.cos(line)
+            assert abs(across) < 0.001
+            assert abs(math.degrees(off.theta)) < 0.05
+    assert {link.kind for link in mapper.links} == {"partial"}
+
+
 def test_ten_metres_of_blank_floor_are_bridged_by_odometry() -> None:
     floor = floors.make_floor("asphalt", 0.0, 0.001, seed=3)
     photographer = photograph.Photographer(photograph.World(floor), photograph.make_camera(CAMERA))

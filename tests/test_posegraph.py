@@ -150,6 +150,25 @@ def test_the_sigmas_tell_the_truth() -> None:
     assert abs(np.mean(errors) - 3.0) < band
 
 
+def test_what_is_known_across_a_slanting_line_alone_holds_in_both_solvers() -> None:
+    """A link that is open along a line, in axes which do not lie along it."""
+    slant = math.radians(3.0)
+    axes = np.array([[math.cos(slant), -math.sin(slant)], [math.sin(slant), math.cos(slant)]])
+    covariance = np.diag([0.0, 0.0, 1e-8])
+    covariance[:2, :2] = axes @ np.diag([1.0, 1e-9]) @ axes.T
+    truth = Pose2(0.03, 0.001)
+    along = Pose2(*(axes @ (0.2, 0.0)), 0.0)
+    partial = Link(0, 1, truth @ along, covariance, 0, 0.9, "partial")
+    felt = Link(0, 1, truth @ Pose2(0.0, 0.004, 0.01), np.diag([1e-4] * 3), 0, 0.9, "odometry")
+    for solver in ("scipy", "gtsam"):
+        solved = posegraph.solve({0: Pose2(), 1: truth}, [partial, felt], solver=solver)  # type: ignore[arg-type]
+        off = truth.inverse() @ solved.poses[1]
+        assert abs(-off.x * math.sin(slant) + off.y * math.cos(slant)) < 1e-4
+        assert off.translation_length < 1e-3
+    fused = truth.inverse() @ posegraph.fuse(felt, partial).a_from_b
+    assert (off.inverse() @ fused).translation_length < 1e-5
+
+
 def test_marginals_are_those_of_gtsam() -> None:
     gtsam = pytest.importorskip("gtsam")
     truth = lawnmower(40, 8)

@@ -111,3 +111,21 @@ def test_an_overexposed_floor_is_refused() -> None:
 def test_a_frame_of_another_kind_is_refused(image: np.ndarray, reason: str) -> None:
     with pytest.raises(FrameError, match=reason):
         view.check_frame(Frame(0, "f", None, image), calibration_of())
+
+
+@pytest.mark.parametrize("sigma", [2.0, 6.0, 12.0])
+def test_the_noise_of_a_frame_is_told_from_the_texture_of_the_floor(sigma: float) -> None:
+    generator = np.random.default_rng(4)
+    flat = np.full((480, 640), 110.0)
+    # Grains of a few pixels, four times as strong as the noise.
+    grains = np.kron(generator.normal(0.0, 4.0 * sigma, (120, 160)), np.ones((4, 4)))
+    grains[:, :200] = 0.0
+    for floor in (flat, flat + grains):
+        noisy = floor + generator.normal(0.0, sigma, floor.shape)
+        measured = view.noise_gray(np.clip(noisy, 0, 255).round().astype(np.uint8))
+        assert measured == pytest.approx(sigma, rel=0.15)
+
+
+def test_a_frame_that_is_burnt_out_has_no_noise_to_measure() -> None:
+    assert view.noise_gray(np.full((480, 640), 255, np.uint8)) == 0.0
+    assert view.noise_gray(np.full((30, 30), 128, np.uint8)) == 0.0

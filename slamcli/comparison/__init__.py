@@ -48,6 +48,9 @@ class Trial:
         What the pixels were asked, when they were.
     confirmed : float
         Share of the floor's patches that agree with the fit; nan where too few tell.
+    partial : Link or None
+        Where nothing but a direction that the pixels leave open speaks against the fit: what they
+        do tell, of kind ``partial``. It is worth something beside odometry.
     """
 
     keyframe: Prepared
@@ -59,6 +62,7 @@ class Trial:
     rival: float = math.nan
     search: dense.Search | None = None
     confirmed: float = math.nan
+    partial: Link | None = None
 
 
 def compare(
@@ -163,19 +167,26 @@ class _Case:
                 None, self.alignment.reason or "the pixels show no motion", 1.0, found
             )
         best = fits[0]
-        rival = self._rival(pair, best, fits[1:])
         differs = by_features is not None and not hypotheses.same(by_features.pose, best.pose, pair)
         backed = backed_by_features and not differs
+        is_open = not backed and bool(self._undetermined(best))
+        others = hypotheses.elsewhere(fits[1:], best) if is_open else fits[1:]
+        rival = self._rival(pair, best, others)
         doubt = belief.implausible(best, self.way_metres, self.options, backed=backed)
         if not doubt and not backed:
             doubt = belief.unlike(pair, best, self.options)
         if not doubt and differs and belief.many(self.alignment, self.options):
             doubt = "the pixels speak for another motion than the features do"
         if not doubt:
-            doubt = belief.ambiguous(rival, self.options) or self.repeats(pair, best)
-        if not doubt and not backed:
-            doubt = belief.undetermined(best, self.calibration.max_range_metres, self.options)
-        return self.trial(best, doubt, rival, found)
+            doubt = belief.ambiguous(rival, self.options)
+        if not doubt:
+            doubt = self.repeats(pair, best, is_open=is_open)
+        if doubt or not is_open:
+            return self.trial(best, doubt, rival, found)
+        return self.trial(best, self._undetermined(best), rival, found, partly=True)
+
+    def _undetermined(self, fit: Hypothesis) -> str:
+        return belief.undetermined(fit, self.calibration.max_range_metres, self.options)
 
     def _of_the_floor(
         self, fits: list[Hypothesis], pair: Pair, by_features: Hypothesis
@@ -200,13 +211,23 @@ class _Case:
                 return share
         return 0.0
 
-    def repeats(self, near: Pair, fit: Hypothesis) -> str:
-        """Return why a floor that repeats leaves a fit open, or nothing."""
+    def repeats(self, near: Pair, fit: Hypothesis, *, is_open: bool = False) -> str:
+        """Return why a floor that repeats leaves a fit open, or nothing.
+
+        Parameters
+        ----------
+        near : Pair
+        fit : Hypothesis
+        is_open : bool
+            Whether the fit is open in some direction anyhow, as along a line.
+        """
         if near.far or not len(self.prepared.repeats):
             return ""
         rivals = hypotheses.repeated(
             near, fit, self.prepared.repeats, self.calibration, self.options
         )
+        if is_open:
+            rivals = hypotheses.elsewhere(rivals, fit)
         like = [
             rival
             for rival in rivals
@@ -221,19 +242,32 @@ class _Case:
         doubt: str,
         rival: float = math.nan,
         found: dense.Search | None = None,
+        *,
+        partly: bool = False,
     ) -> Trial:
-        """Return the trial of a fit: with its link, or with why there is none."""
-        link = None
-        if fit is not None and fit.covariance is not None and not doubt:
-            link = Link(
+        """Return the trial of a fit: with its link, or with why there is none.
+
+        Parameters
+        ----------
+        fit : Hypothesis or None
+        doubt : str
+        rival : float
+        found : Search or None
+        partly : bool
+            Whether the doubt is of some direction alone.
+        """
+        link = partial = None
+        if fit is not None and fit.covariance is not None and (partly or not doubt):
+            told = Link(
                 self.keyframe.index,
                 self.prepared.index,
                 fit.pose,
                 fit.covariance,
                 self.alignment.inlier_count if math.isnan(rival) else 0,
                 fit.agreed.correlation,
-                "step",
+                "partial" if partly else "step",
             )
+            link, partial = (None, told) if partly else (told, None)
         overlap = 0.0 if fit is None else fit.agreed.overlap
         reason = "" if link is not None else f"{doubt} (to {self.keyframe.name})"
         confirmed = math.nan if fit is None else fit.agreed.confirmed
@@ -247,4 +281,5 @@ class _Case:
             rival,
             found,
             confirmed,
+            partial,
         )

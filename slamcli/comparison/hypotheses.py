@@ -37,6 +37,7 @@ _ROCKING_SHARE = 0.6
 _ROCKING_TIMES = 5.0
 # Of the patches that tell.
 MOSTLY = 0.5
+_OPEN_SIGMAS = 4.0
 # Of the patches, for a motion; so many times those for its rival. Two wrong motions on a worn floor
 # each have about as many for them; on one whose tiles are all alike noise speaks for a tenth.
 _LEAST_PREFERENCE, _PREFERENCE_TIMES = 0.15, 6.0
@@ -215,6 +216,22 @@ def repeated(
             shown = refined.view_a_from_view_b
             found.append(judge(pair, refined.a_from_b, refined.covariance, shown))
     return [rival for rival in found if rival.agreed.overlap >= options.min_overlap]
+
+
+def elsewhere(fits: list[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
+    """Leave out what differs from the best only where it is known least, as along a line."""
+    if best.covariance is None:
+        return fits
+    known = np.linalg.eigh(best.covariance[:2, :2])[1][:, 0]
+    kept = []
+    for fit in fits:
+        apart = best.pose.inverse() @ fit.pose
+        across = abs(float(known @ (apart.x, apart.y)))
+        sigma = math.sqrt(float(known @ best.covariance[:2, :2] @ known))
+        turn_sigma = math.sqrt(float(best.covariance[2, 2]))
+        if across > _OPEN_SIGMAS * sigma or abs(apart.theta) > _OPEN_SIGMAS * turn_sigma:
+            kept.append(fit)
+    return kept
 
 
 def stands_out(pair: Pair, fit: Hypothesis, rival: Hypothesis) -> bool:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 DescriptorNorm = Literal["hamming", "hamming2", "l2"]
 DistortionModel = Literal["plumb_bob", "rational_polynomial", "equidistant"]
-LinkKind = Literal["step", "loop", "odometry", "compass", "gps"]
+LinkKind = Literal["step", "loop", "odometry", "compass", "gps", "partial"]
 Status = Literal["tracked", "predicted", "lost"]
 Unit = Literal["m", "px"]
 

@@ -41,11 +41,13 @@ __all__ = [
     "Solution",
     "components",
     "compose_covariance",
+    "fuse",
     "solve",
     "spanning",
 ]
 
 _TRUSTED = ("step", "odometry")
+_FUSE_STEPS = 4
 # With so few outliers among the readings, none can pull the rest far.
 _NEARLY_ALL = 0.9
 _MOST_ROUNDS = 5
@@ -211,6 +213,27 @@ def _solution(
             (float(state.lever_arm[0]), float(state.lever_arm[1])),
         ),
     )
+
+
+def fuse(first: Link, second: Link) -> Link:
+    """Return what two links between the same frames say together, as the first one's kind.
+
+    Least squares of both errors (Gauss-Newton): each says the more in a direction the surer it is.
+    """
+    pose = first.a_from_b
+    information = np.zeros((3, 3))
+    for _ in range(_FUSE_STEPS):
+        information, pull = np.zeros((3, 3)), np.zeros(3)
+        for link in (first, second):
+            off = link.a_from_b.inverse() @ pose
+            turned = Pose2(0.0, 0.0, off.theta).matrix
+            weighted = turned.T @ np.linalg.inv(link.covariance)
+            information += weighted @ turned
+            pull += weighted @ np.array([off.x, off.y, off.theta])
+        step = -np.linalg.solve(information, pull)
+        pose = pose @ Pose2(float(step[0]), float(step[1]), float(step[2]))
+    covariance = np.asarray(np.linalg.inv(information), np.float64)
+    return replace(first, a_from_b=pose, covariance=covariance)
 
 
 def compose_covariance(

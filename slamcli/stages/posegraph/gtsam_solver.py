@@ -88,7 +88,8 @@ def _factor(problem: Problem, place: int, weight: float = 1.0) -> Any:
     import gtsam
 
     motions = problem.motions
-    root = np.sqrt(weight) * motions.whitening[place]
+    # GTSAM wants this root upper triangular, and takes a lower one's diagonal for all of it.
+    root = np.linalg.qr(np.sqrt(weight) * motions.whitening[place], mode="r")
     noise = gtsam.noiseModel.Gaussian.SqrtInformation(root)
     motion = gtsam.Pose2(*motions.a_from_b[place])
     return gtsam.BetweenFactorPose2(motions.a[place], motions.b[place], motion, noise)
