@@ -31,6 +31,9 @@ _EQUAL_SHARE = 0.95
 # the rocking is believed when it leaves less than this share unexplained. On a floor of a few lines
 # a line's end may be brought to fit by a tilt as well as by the motion.
 _STEADY_CORRELATION = 0.95
+# What the pixels refined lies several times nearer to the truth than what it started at, while
+# either leaves the same unexplained, to so small a share.
+_REFINED_SHARE = 1.05
 _CONTRAST_HANDICAP = 0.0475
 _ROCKING_SHARE = 0.6
 # A robot may rock so much more than its tilt sigma says, where the pixels ask for it.
@@ -261,10 +264,9 @@ def same(first: Pose2, second: Pose2, pair: Pair) -> bool:
 
 
 def _better(fit: Hypothesis, other: Hypothesis, *, rocking: bool) -> bool:
-    """Return whether a refined fit agrees better; one that bends the floor must do so by far."""
-    if not rocking:
-        return fit.evidence > other.evidence
-    return 1.0 - fit.correlation < _ROCKING_SHARE * (1.0 - other.correlation)
+    """Return whether a refined fit agrees no worse; one that bends the floor must do so by far."""
+    share = _ROCKING_SHARE if rocking else _REFINED_SHARE
+    return 1.0 - fit.correlation < share * (1.0 - other.correlation)
 
 
 def _surer(fit: Hypothesis, other: Hypothesis) -> bool:
