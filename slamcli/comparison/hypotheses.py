@@ -36,6 +36,8 @@ _STEADY_CORRELATION = 0.95
 _REFINED_SHARE = 1.05
 _CONTRAST_HANDICAP = 0.0475
 _ROCKING_SHARE = 0.6
+# Where the pixels of the motion without it ask for more tilt, one is believed that leaves less.
+_ASKED_ROCKING_SHARE = 1.0
 # A robot may rock so much more than its tilt sigma says, where the pixels ask for it.
 _ROCKING_TIMES = 5.0
 # Of the patches, for a motion; so many times those for its rival.
@@ -134,13 +136,13 @@ def polish(
         return start
     # Features come within a pixel of the finest levels; what a search found starts at the coarsest.
     levels = slice(0, 2) if covariance is not None else slice(None)
-    best = start
+    best, rocks = start, False
     steady = math.radians(options.tilt_sigma_degrees)
     # Among bare lines, where no features are, a large tilt passes for a turn. What lies far off
     # shifts by much for a little tilt, and is never compared without.
     tilts = (0.0, steady) if covariance is None else (0.0, steady, _ROCKING_TIMES * steady)
     for tilt in tilts[1:] if pair.far else tilts:
-        if tilt > 0.0 and best.covariance is not None and _steady(best):
+        if tilt > 0.0 and best.covariance is not None and _steady(best) and not rocks:
             break
         # Each from where the features or the search led: without the rocking that there is, the
         # refinement may have gone astray.
@@ -148,10 +150,13 @@ def polish(
         if refined is None:
             continue
         fit = judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
+        share = _REFINED_SHARE
+        if tilt > 0.0:
+            share = _ASKED_ROCKING_SHARE if rocks else _ROCKING_SHARE
         if best.covariance is None or (
-            _better(fit, best, rocking=tilt > 0.0) and _holds(fit, best, calibration, options)
+            _better(fit, best, share) and _holds(fit, best, calibration, options)
         ):
-            best = fit
+            best, rocks = fit, refined.rocks
     return best
 
 
@@ -263,9 +268,8 @@ def same(first: Pose2, second: Pose2, pair: Pair) -> bool:
     return apart.translation_length < near and abs(wrap_angle(apart.theta)) < _SAME_RADIANS
 
 
-def _better(fit: Hypothesis, other: Hypothesis, *, rocking: bool) -> bool:
-    """Return whether a refined fit agrees no worse; one that bends the floor must do so by far."""
-    share = _ROCKING_SHARE if rocking else _REFINED_SHARE
+def _better(fit: Hypothesis, other: Hypothesis, share: float) -> bool:
+    """Return whether a refined fit leaves less than a share of what another leaves unexplained."""
     return 1.0 - fit.correlation < share * (1.0 - other.correlation)
 
 
