@@ -75,6 +75,8 @@ class Loops:
         self._known = Recogniser(calibration, options, grid)
         self._recalled: dict[int, list[Place]] = {}
         self._asked: set[int] = set()
+        self._ways: dict[int, float] = {}
+        self._ties = _Ties(self._known)
         self._adopted: set[int] = set()
         self._failed: dict[tuple[int, int], Pose2] = {}
 
@@ -125,9 +127,37 @@ class Loops:
         places = [place for place in recalled if graph[place.keyframe].fragment != fragment]
         return self._known.believe(prepared, places, graph)
 
+    def recur(self, keyframe: Prepared, graph: Graph) -> Link | None:
+        """Return the loop that the latest keyframe, as placed, closes with floor that it recalls.
+
+        Only the likeliest place is compared, where no link ties it to the keyframe already: that
+        costs the same on a large map as on a small one.
+        """
+        b, fragment = keyframe.index, graph[keyframe.index].fragment
+        self._ways[b] = self._way_to(b, graph)
+        self._ties.update(graph.links)
+        for place in self._recalled.get(b, [])[:1]:
+            a = place.keyframe
+            known = a in self._ways and graph.is_placed(a) and graph[a].fragment == fragment
+            if known and not self._ties.beside(a, b):
+                way = self._ways[b] - self._ways[a]
+                return self._attempt(self._resembling(place, b, way, graph))
+        return None
+
+    def _way_to(self, keyframe: int, graph: Graph) -> float:
+        """Return the way driven up to the latest keyframe, as far as the poses then told."""
+        before = self._known.before(keyframe)
+        if before is None or before not in self._ways:
+            return 0.0
+        step = 0.0
+        if graph.is_placed(before) and graph[before].fragment == graph[keyframe].fragment:
+            step = (graph.pose(before).inverse() @ graph.pose(keyframe)).translation_length
+        return self._ways[before] + step
+
     def close(self, graph: Graph) -> list[Link]:
         """Return the loops that one round finds by the graph's poses as they are."""
-        ties = _Ties(self._known, graph.links)
+        ties = _Ties(self._known)
+        ties.update(graph.links)
         found: list[Link] = []
         for attempts in (self._by_poses(graph), self._by_appearance(graph)):
             for attempt in attempts:
@@ -174,13 +204,17 @@ class Loops:
             for b in members:
                 places = [p for p in self._recalled.get(b, []) if p.keyframe in way]
                 for place in places[:_MOST_TRIED]:
-                    expected = graph.pose(place.keyframe).inverse() @ graph.pose(b)
-                    known, other = graph[place.keyframe].covariance, graph[b].covariance
-                    assert known is not None
-                    assert other is not None
-                    drift = self._doubt(_DRIFT_SHARE * abs(way[b] - way[place.keyframe]))
-                    covariance = posegraph.compose_covariance(known, expected, other) + drift
-                    yield _Attempt(place.keyframe, b, expected, covariance, place.keyframe_from_now)
+                    yield self._resembling(place, b, way[b] - way[place.keyframe], graph)
+
+    def _resembling(self, place: Place, b: int, way_metres: float, graph: Graph) -> _Attempt:
+        """Return a keyframe and one that it recalls, so long a way before, as a pair to compare."""
+        expected = graph.pose(place.keyframe).inverse() @ graph.pose(b)
+        known, other = graph[place.keyframe].covariance, graph[b].covariance
+        assert known is not None
+        assert other is not None
+        drift = self._doubt(_DRIFT_SHARE * abs(way_metres))
+        covariance = posegraph.compose_covariance(known, expected, other) + drift
+        return _Attempt(place.keyframe, b, expected, covariance, place.keyframe_from_now)
 
     def _between_fragments(self, graph: Graph) -> list[Link]:
         """Return the loops that tie keyframes to places in other fragments."""
@@ -238,16 +272,21 @@ class Loops:
 class _Ties:
     """Which keyframes links tie, to within a keyframe's step."""
 
-    def __init__(self, known: Recogniser, links: Sequence[Link]) -> None:
+    def __init__(self, known: Recogniser) -> None:
         self._known = known
         self._tied: dict[int, list[int]] = {}
-        for link in links:
-            if link.a in known and link.b in known:
-                self.add(link)
+        self._count = 0
+
+    def update(self, links: Sequence[Link]) -> None:
+        """Take in the links that have come since; a link that is there stays for good."""
+        for link in links[self._count :]:
+            self.add(link)
+        self._count = len(links)
 
     def add(self, link: Link) -> None:
-        self._tied.setdefault(link.a, []).append(link.b)
-        self._tied.setdefault(link.b, []).append(link.a)
+        if link.a in self._known and link.b in self._known:
+            self._tied.setdefault(link.a, []).append(link.b)
+            self._tied.setdefault(link.b, []).append(link.a)
 
     def beside(self, a: int, b: int) -> bool:
         """Return whether b is tied to a already, or to a keyframe right before or after it."""

@@ -203,9 +203,9 @@ class Mapper:
         down, and each has its first frame as its origin. A frame that nothing ties to any other
         is lost.
 
-        Loops within a fragment are closed here and not as frames come: a loop moves the whole map,
-        and to solve that takes seconds when it is large, while a robot must keep up. It may ask for
-        it whenever it has the time, and go on mapping.
+        Loops are closed as frames come where these look like floor seen before, and what lies
+        between is solved so seldom that a robot keeps up; here all that the poses tell of are. A
+        robot may ask for it whenever it has the time, and go on mapping.
         """
         self._graph.solve()
         while self.options.loops and (found := self._loops.close(self._graph)):
@@ -415,6 +415,8 @@ class Mapper:
         if overlap < self.options.keyframe_overlap or links[0].kind == "loop":
             self._add_keyframe(prepared)
             estimate = self._rejoin(prepared)
+            if links[0].kind != "loop":
+                estimate = self._close_loop(prepared)
         if stray is not None and not self._graph.is_placed(stray.index):
             return self._look_back(prepared, stray)
         return estimate
@@ -448,6 +450,14 @@ class Mapper:
             if found is not None and found.link is not None:
                 self._trials.append(found)
                 self._graph.tie(keyframe.index, [found.link])
+        return self._graph[keyframe.index]
+
+    def _close_loop(self, keyframe: Prepared) -> PoseEstimate:
+        """Tie a new keyframe to floor of its own fragment that was seen long before."""
+        if self.options.loops:
+            link = self._loops.recur(keyframe, self._graph)
+            if link is not None:
+                self._graph.tie(keyframe.index, [link])
         return self._graph[keyframe.index]
 
     def _begin_fragment(self, prepared: Prepared) -> PoseEstimate:

@@ -93,6 +93,11 @@ class Recogniser:
         self._keyframes[keyframe.index] = keyframe
         self._index.add(keyframe.index, keyframe.features)
 
+    def before(self, index: int) -> int | None:
+        """Return the keyframe that was made before another; None for the first."""
+        number = self._number[index]
+        return self.order[number - 1] if number else None
+
     def steps_between(self, a: int, b: int) -> int:
         """Return how many keyframes later than a the keyframe b was made."""
         return self._number[b] - self._number[a]

@@ -151,8 +151,9 @@ def test_a_refinement_sees_through_a_rocking_camera() -> None:
     assert dense.agreement(*finest, rocked.view_a_from_view_b).correlation > plain + 0.1
 
 
-def test_the_error_of_a_refined_motion_is_what_its_covariance_says() -> None:
-    camera = photographer_of(floors.make_floor("concrete", 0.0, 0.001, seed=5))
+@pytest.mark.parametrize("floor", ["concrete", "asphalt"])
+def test_the_error_of_a_refined_motion_is_what_its_covariance_says(floor: str) -> None:
+    camera = photographer_of(floors.make_floor(floor, 0.0, 0.001, seed=5))
     normalised = []
     for index in range(8):
         motion = Pose2(0.04, 0.005 * index, 0.03 * index)
@@ -161,12 +162,34 @@ def test_the_error_of_a_refined_motion_is_what_its_covariance_says() -> None:
         b = prepared_of(camera, start @ motion, 2 * index + 1)
         refined = dense.refine(a.levels, b.levels, motion, CALIBRATION, 0.0)
         assert refined is not None
+        assert not refined.rocks
         error = motion.inverse() @ refined.a_from_b
         vector = np.array([error.x, error.y, error.theta])
         normalised.append(float(vector @ np.linalg.solve(refined.covariance, vector)))
-    # Three degrees of freedom, eight times: the mean's 95 % band is 1.6 to 4.9; sigmas may be wide.
-    assert np.mean(normalised) < 4.9
+    # Three degrees of freedom, eight times: the mean's 95 % band is 1.6 to 4.9, and a little more
+    # where sigmas hold what this drive does not show.
+    assert 0.8 < np.mean(normalised) < 4.9
     assert max(normalised) < 20.0
+
+
+def test_a_motion_that_leaves_a_rocking_out_knows_what_it_misses() -> None:
+    """A tilt too small to be seen in how well the views agree, and far too large for the sigmas."""
+    camera = photographer_of(floors.make_floor("asphalt", 0.0, 0.001, seed=3))
+    rocking = DisturbanceOptions(rocking_degrees=0.05)
+    normalised = []
+    for index in range(6):
+        motion = Pose2(0.05, 0.005 * index, 0.02 * index)
+        start = Pose2(0.3 * index, 0.0, 0.0)
+        a = prepared_of(camera, start, 2 * index, rocking)
+        b = prepared_of(camera, start @ motion, 2 * index + 1, rocking)
+        refined = dense.refine(a.levels[:2], b.levels[:2], motion, CALIBRATION, 0.0)
+        assert refined is not None
+        finest = dense.agreement(a.levels[0], b.levels[0], refined.view_a_from_view_b)
+        assert finest.correlation > 0.9
+        error = motion.inverse() @ refined.a_from_b
+        vector = np.array([error.x, error.y, error.theta])
+        normalised.append(float(vector @ np.linalg.solve(refined.covariance, vector)))
+    assert np.mean(normalised) < 6.0
 
 
 def test_floor_elsewhere_is_not_placed() -> None:

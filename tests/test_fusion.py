@@ -160,6 +160,27 @@ def test_gps_and_compass_survive_outliers_and_place_the_map_on_earth() -> None:
     assert rmse(fused, truth) < 0.5 * rmse(alone, truth)
 
 
+def test_fused_with_gps_and_compass_a_drive_is_as_good_as_by_vision_alone() -> None:
+    """Of vision so sure, readings so poor have little to tell: chance decides by a few hundredths.
+
+    On average they help all the same, as much as they tell.
+    """
+    truth = winding(334, 0.3)
+    ratios = []
+    for seed in range(8):
+        generator = np.random.default_rng(100 + seed)
+        senses = Senses()
+        alone, fused = (drive(truth, felt, seed, 0.0003) for felt in (Senses(), senses))
+        feel_gps(senses, truth, generator, 2.0, outliers=0.1)
+        feel_compass(senses, truth, generator, slice(100, 150))
+        alone.solve()
+        fused.solve()
+        ratios.append(rmse(fused, truth) / rmse(alone, truth))
+        assert math.sqrt(np.mean(earth_errors(fused, truth) ** 2)) < 0.5
+    assert max(ratios) < 1.05
+    assert np.mean(ratios) < 1.0
+
+
 def test_a_large_map_is_corrected_at_a_cost_that_stays_flat(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

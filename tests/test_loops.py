@@ -62,7 +62,8 @@ def circle(photographer: photograph.Photographer) -> slamcli.Mapper:
 
 
 def test_a_loop_is_closed_by_true_links_alone(circle: slamcli.Mapper) -> None:
-    assert not [link for link in circle.links if link.kind == "loop"]
+    # As the robot comes round, and what else the poses tell of at the end.
+    assert [link for link in circle.links if link.kind == "loop"]
     assert worst_metres(circle.finish(), CIRCLE) < 0.001
     loops = [link for link in circle.links if link.kind == "loop"]
     assert any(link.b - link.a > LOOP_FRAMES * 3 // 4 for link in loops)

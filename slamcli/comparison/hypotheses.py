@@ -31,8 +31,13 @@ _EQUAL_SHARE = 0.95
 # the rocking is believed when it leaves less than this share unexplained. On a floor of a few lines
 # a line's end may be brought to fit by a tilt as well as by the motion.
 _STEADY_CORRELATION = 0.95
+# What the pixels refined lies several times nearer to the truth than what it started at, while
+# either leaves the same unexplained, to so small a share.
+_REFINED_SHARE = 1.05
 _CONTRAST_HANDICAP = 0.0475
 _ROCKING_SHARE = 0.6
+# Where the pixels of the motion without it ask for more tilt, one is believed that leaves less.
+_ASKED_ROCKING_SHARE = 1.0
 # A robot may rock so much more than its tilt sigma says, where the pixels ask for it.
 _ROCKING_TIMES = 5.0
 # Of the patches that tell.
@@ -140,13 +145,13 @@ def polish(
         if start.agreed.confirmed < MOSTLY:
             # Most of what is seen stands or walks, and would pull the motion to its own.
             levels_a = dense.agreeing(levels_a, levels_b[0], start.view_a_from_view_b)
-    best = start
+    best, rocks = start, False
     steady = math.radians(options.tilt_sigma_degrees)
     # Among bare lines, where no features are, a large tilt passes for a turn. What lies far off
     # shifts by much for a little tilt, and is never compared without.
     tilts = (0.0, steady) if covariance is None else (0.0, steady, _ROCKING_TIMES * steady)
     for tilt in tilts[1:] if pair.far else tilts:
-        if tilt > 0.0 and best.covariance is not None and _steady(best):
+        if tilt > 0.0 and best.covariance is not None and _steady(best) and not rocks:
             break
         # Each from where the features or the search led: without the rocking that there is, the
         # refinement may have gone astray.
@@ -154,10 +159,13 @@ def polish(
         if refined is None:
             continue
         fit = judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
+        share = _REFINED_SHARE
+        if tilt > 0.0:
+            share = _ASKED_ROCKING_SHARE if rocks else _ROCKING_SHARE
         if best.covariance is None or (
-            _better(fit, best, rocking=tilt > 0.0) and _holds(fit, best, calibration, options)
+            _better(fit, best, share) and _holds(fit, best, calibration, options)
         ):
-            best = fit
+            best, rocks = fit, refined.rocks
     return best
 
 
@@ -282,11 +290,9 @@ def same(first: Pose2, second: Pose2, pair: Pair) -> bool:
     return apart.translation_length < near and abs(wrap_angle(apart.theta)) < _SAME_RADIANS
 
 
-def _better(fit: Hypothesis, other: Hypothesis, *, rocking: bool) -> bool:
-    """Return whether a refined fit agrees better; one that bends the floor must do so by far."""
-    if not rocking:
-        return fit.evidence > other.evidence
-    return 1.0 - fit.correlation < _ROCKING_SHARE * (1.0 - other.correlation)
+def _better(fit: Hypothesis, other: Hypothesis, share: float) -> bool:
+    """Return whether a refined fit leaves less than a share of what another leaves unexplained."""
+    return 1.0 - fit.correlation < share * (1.0 - other.correlation)
 
 
 def _surer(fit: Hypothesis, other: Hypothesis) -> bool:

@@ -10,11 +10,11 @@ import numpy as np
 from slamcli.core.config import Datum
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import pose_array
-from slamcli.graph import placed_fragments
 from slamcli.io.graphs import write_g2o, write_links
 from slamcli.io.tracks import write_geojson
 from slamcli.io.trajectories import write_kitti, write_tum
 from slamcli.stages.geodesy import LocalPlane, projection
+from slamcli.track import placed_fragments
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -11,7 +11,6 @@ from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Pose2
 from slamcli.core.mounting import rocked
 from slamcli.core.records import Shot
-from slamcli.graph import placed_fragments
 from slamcli.io.frames import read_frame, read_reduced_gray
 from slamcli.io.tilestore import TileStore
 from slamcli.painter import Painter
@@ -19,6 +18,7 @@ from slamcli.run.executor import ordered
 from slamcli.run.pictures import Pictures
 from slamcli.stages import camera
 from slamcli.stages.mosaic import exposure, tiles
+from slamcli.track import placed_fragments
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

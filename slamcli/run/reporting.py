@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 from slamcli import __version__
 from slamcli.core.geometry import path_length
-from slamcli.graph import placed_fragments
 from slamcli.io import runs, tables
 from slamcli.run import exports
 from slamcli.run.networks import LEARNED
 from slamcli.run.refinement import describe, run_section
+from slamcli.track import placed_fragments
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

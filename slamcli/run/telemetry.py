@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import pose_array
-from slamcli.graph import placed_fragments
 from slamcli.io.telemetry import read_compass, read_gps, read_odometry
 from slamcli.stages.telemetry import estimate_time_offset
+from slamcli.track import placed_fragments
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -41,9 +41,16 @@ _CHANCE_SIGMAS = 2.0
 # The stairs of a line's edge in the camera's pixels, and the blocks of a JPEG, move with the camera
 # and not with the floor: such a share of an edge's gradient along it tells nothing.
 _STAIRS = 0.01
-# Neighbouring residuals are not independent: interpolation and blur tie about this many together.
-_CORRELATED_PIXELS = 24.0
-_SYSTEMATIC_PIXELS = 0.02
+# Neighbouring residuals are not independent: halving, blur and interpolation tie about this many
+# together.
+_CORRELATED_PIXELS = 5.0
+# What all residuals share and none shows: the bias of interpolating, and of the noise in gradients.
+_SYSTEMATIC_PIXELS = 0.003
+# Whatever a camera was taken to do, it may rock by so much: one sigma, radians.
+_ROCKING_RADIANS = math.radians(0.5)
+# The pixels of a camera that does not rock ask for a tilt by less than so many times what chance
+# does.
+_ROCKS_TIMES = 3.0
 _REMAP_COLUMNS = 256
 # A robot that rocks by a radian bounces by so many times its camera's height.
 _HEIGHT_SHARE_PER_RADIAN = 3.0
@@ -63,11 +70,15 @@ class Refinement:
     view_a_from_view_b : (3, 3) float64
         Metres to metres, as the views show the floor: the motion, and what each frame's tilt and
         height differ by from the calibration's.
+    rocks : bool
+        Whether the pixels ask for more tilt than was allowed for; the covariance holds what the
+        motion misses by that.
     """
 
     a_from_b: Pose2
     covariance: NDArray[np.float64]
     view_a_from_view_b: NDArray[np.float64]
+    rocks: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,10 +135,12 @@ def refine(
     moved = (a_from_b.inverse() @ state.a_from_b).translation_length
     if covariance is None or moved > _MOST_SHIFT_PIXELS * levels_a[-1].metres_per_pixel:
         return None
-    covariance = covariance + _systematic(levels_a[0])
+    left_out = _left_out(levels_a[0], levels_b[0], state, calibration)
+    covariance = covariance + _systematic(levels_a[0]) + left_out
     shown_a = _shown_from_floor(calibration, state.mounting_a)
     shown_b = _shown_from_floor(calibration, state.mounting_b)
-    return Refinement(state.a_from_b, covariance, shown_a @ state.a_from_b.matrix @ invert(shown_b))
+    shown = shown_a @ state.a_from_b.matrix @ invert(shown_b)
+    return Refinement(state.a_from_b, covariance, shown, rocks=bool(left_out.any()))
 
 
 def _systematic(finest: DenseLevel) -> NDArray[np.float64]:
@@ -210,30 +223,12 @@ def _refine_level(
     if known is not None:
         prior[:3, :3] = invert(known.covariance)
     for _ in range(_MOST_ITERATIONS):
-        floor_a = apply_homography(
-            invert(_shown_from_floor(calibration, state.mounting_a)), a.points
-        )
-        floor_b = state.a_from_b.inverse().apply(floor_a)
-        shown_b = apply_homography(_shown_from_floor(calibration, state.mounting_b), floor_b)
-        pixels_b = apply_homography(b.pixel_from_metres, shown_b)
-        seen = _sample(b.inside, pixels_b) > 254.5
-        if np.count_nonzero(seen) < _LEAST_TEMPLATE_PIXELS:
+        line = _linearise(a, b, state, calibration, sigmas, shifts_a)
+        if line is None:
             return None
-        points, pixels, values = floor_b[seen], pixels_b[seen], a.values[seen]
-        gradients = a.gradients[seen] @ state.a_from_b.matrix[:2, :2]
-        jacobian = np.empty((len(points), 5 + 2 * count))
-        jacobian[:, :2] = -gradients
-        jacobian[:, 2] = gradients[:, 0] * points[:, 1] - gradients[:, 1] * points[:, 0]
-        jacobian[:, 3] = values
-        jacobian[:, 4] = 1.0
-        if count:
-            shifts_b = _shifts(calibration, points, sigmas)
-            jacobian[:, 5 : 5 + count] = -np.einsum("ni,nik->nk", a.gradients[seen], shifts_a[seen])
-            jacobian[:, 5 + count :] = np.einsum("ni,nik->nk", gradients, shifts_b)
-        residual = _sample(b.detail, pixels) - values
         off = _off_prior(state, sigmas, known)
-        contrast = float(values.std())
-        solved = _solve(jacobian, residual, prior, off, _LEAST_NOISE_SHARE * contrast)
+        least = _LEAST_NOISE_SHARE * line.contrast
+        solved = _solve(line.jacobian, line.residual, prior, off, least)
         if solved is None:
             return None
         step, weight = solved
@@ -242,17 +237,80 @@ def _refine_level(
             state.mounting_a + step[5 : 5 + count] * sigmas,
             state.mounting_b + step[5 + count :] * sigmas,
         )
-        reach = float(np.abs(points).max())
+        reach = float(np.abs(line.points).max())
         moved = math.hypot(step[0], step[1]) + abs(step[2]) * reach
         if moved < _CONVERGED_PIXELS * b.metres_per_pixel:
             break
-    # What is left over tells how well the motion is known; the least noise is for outliers alone.
-    share = weight / weight.max()
-    left = math.sqrt(float(np.sum(share * residual**2) / np.sum(share)))
-    noise = max(left, _LEAST_LEFT_SHARE * contrast, 1e-6)
-    weight = share / (noise**2 * _CORRELATED_PIXELS)
-    covariance = _covariance(b, jacobian, pixels, points, weight, prior)
+    assert line is not None
+    covariance = _covariance(b, line, _weights(line, weight), prior)
     return None if covariance is None else (state, covariance)
+
+
+def _weights(line: _Linearised, weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the weight (N,) of each residual by what is left over, from the solver's robust ones.
+
+    What is left over tells how well a motion is known; the solver's least noise is for outliers.
+    """
+    share = weight / weight.max()
+    left = math.sqrt(float(np.sum(share * line.residual**2) / np.sum(share)))
+    noise = max(left, _LEAST_LEFT_SHARE * line.contrast, 1e-6)
+    return np.asarray(share / (noise**2 * _CORRELATED_PIXELS))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linearised:
+    """Two levels' difference about a state.
+
+    Attributes
+    ----------
+    points : (N, 2) float64
+        Of the floor, in b's frame, metres.
+    pixels : (N, 2) float64
+        Where b shows them.
+    residual : (N,) float64
+    jacobian : (N, 5 + 2 n) float64
+        By the motion, gain, offset, and either frame's mounting in sigmas.
+    contrast : float
+        One standard deviation of the template.
+    """
+
+    points: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    jacobian: NDArray[np.float64]
+    contrast: float
+
+
+def _linearise(
+    a: DenseLevel,
+    b: DenseLevel,
+    state: _State,
+    calibration: Calibration,
+    sigmas: NDArray[np.float64],
+    shifts_a: NDArray[np.float64],
+) -> _Linearised | None:
+    """Return the difference at a state; None when too little of it is seen."""
+    count = len(sigmas)
+    floor_a = apply_homography(invert(_shown_from_floor(calibration, state.mounting_a)), a.points)
+    floor_b = state.a_from_b.inverse().apply(floor_a)
+    shown_b = apply_homography(_shown_from_floor(calibration, state.mounting_b), floor_b)
+    pixels_b = apply_homography(b.pixel_from_metres, shown_b)
+    seen = _sample(b.inside, pixels_b) > 254.5
+    if np.count_nonzero(seen) < _LEAST_TEMPLATE_PIXELS:
+        return None
+    points, pixels, values = floor_b[seen], pixels_b[seen], a.values[seen]
+    gradients = a.gradients[seen] @ state.a_from_b.matrix[:2, :2]
+    jacobian = np.empty((len(points), 5 + 2 * count))
+    jacobian[:, :2] = -gradients
+    jacobian[:, 2] = gradients[:, 0] * points[:, 1] - gradients[:, 1] * points[:, 0]
+    jacobian[:, 3] = values
+    jacobian[:, 4] = 1.0
+    if count:
+        shifts_b = _shifts(calibration, points, sigmas)
+        jacobian[:, 5 : 5 + count] = -np.einsum("ni,nik->nk", a.gradients[seen], shifts_a[seen])
+        jacobian[:, 5 + count :] = np.einsum("ni,nik->nk", gradients, shifts_b)
+    residual = _sample(b.detail, pixels) - values
+    return _Linearised(points, pixels, residual, jacobian, float(values.std()))
 
 
 def _off_prior(
@@ -268,21 +326,65 @@ def _off_prior(
     return off
 
 
+def _left_out(
+    a: DenseLevel, b: DenseLevel, state: _State, calibration: Calibration
+) -> NDArray[np.float64]:
+    """Return the (3, 3) covariance of what a camera that rocks more than was allowed for leaves.
+
+    How far the motion would go if both frames were free to tilt, where the pixels ask for that by
+    more than chance does (the positive part of a James-Stein shrinkage). A spot is blurred more
+    from afar than from near, which passes for the change of scale that a tilt makes: the blur is
+    free too.
+    """
+    nothing = np.zeros((3, 3))
+    if not math.isfinite(calibration.height_metres):
+        return nothing
+    sigmas = _mounting_sigmas(calibration, _ROCKING_RADIANS)
+    if not len(state.mounting_a):
+        state = replace(state, mounting_a=np.zeros(3), mounting_b=np.zeros(3))
+    line = _linearise(a, b, state, calibration, sigmas, _shifts(calibration, a.points, sigmas))
+    if line is None:
+        return nothing
+    weight = _weights(line, _robust(line.residual, _LEAST_NOISE_SHARE * line.contrast))
+    free = np.hstack([line.jacobian[:, :5], _blur(b, line)])
+    tilts = line.jacobian[:, 5:]
+    weighted = free * weight[:, None]
+    # What motion, gain and blur can explain of a tilt's change of the pixels, and of what is left.
+    told, missed = np.hsplit(
+        np.linalg.lstsq(weighted.T @ free, weighted.T @ np.column_stack([tilts, line.residual]))[0],
+        [tilts.shape[1]],
+    )
+    own = tilts - free @ told
+    own_weighted = own * weight[:, None]
+    information = own_weighted.T @ own
+    off = _off_prior(state, sigmas, None)[5:]
+    pull = own_weighted.T @ line.residual + off
+    least = information + np.eye(len(information))
+    tilt = -np.linalg.solve(least, pull)
+    gained, expected = float(-pull @ tilt), float(np.trace(np.linalg.solve(least, information)))
+    if gained <= _ROCKS_TIMES * expected:
+        return nothing
+    step = -(missed[:3, 0] + told[:3] @ tilt)
+    return np.asarray((1.0 - expected / gained) * np.outer(step, step))
+
+
+def _blur(b: DenseLevel, line: _Linearised) -> NDArray[np.float64]:
+    """Return (N, 2): by how much a pixel changes as a view is blurred, all over and the farther."""
+    curved = _sample(np.asarray(cv2.Laplacian(b.detail, cv2.CV_32F), np.float32), line.pixels)
+    return np.column_stack([curved, curved * line.points[:, 0]])
+
+
 def _covariance(
-    b: DenseLevel,
-    jacobian: NDArray[np.float64],
-    pixels: NDArray[np.float64],
-    points: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    prior: NDArray[np.float64],
+    b: DenseLevel, line: _Linearised, weight: NDArray[np.float64], prior: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
     """Return the covariance (3, 3) of the motion, from what both views show of the gradients.
 
     The noise of one view has gradients too, which would pass for knowledge of a motion along a
     plain line; the product with the other view's, whose noise is another, has none on average.
     """
+    points, jacobian = line.points, line.jacobian
     right, up = levels.slopes(b.detail, b.metres_per_pixel)
-    other = np.column_stack([_sample(right, pixels), _sample(up, pixels)])
+    other = np.column_stack([_sample(right, line.pixels), _sample(up, line.pixels)])
     both = jacobian.copy()
     both[:, :2] = -other
     both[:, 2] = other[:, 0] * points[:, 1] - other[:, 1] * points[:, 0]
@@ -331,10 +433,7 @@ def _solve(
     least_noise : float
         Of a residual, one standard deviation.
     """
-    spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
-    noise = max(spread, least_noise, 1e-6)
-    weight = np.minimum(1.0, _HUBER_SIGMAS * noise / np.maximum(np.abs(residual), 1e-12))
-    weight /= noise**2 * _CORRELATED_PIXELS
+    weight = _robust(residual, least_noise)
     weighted = jacobian * weight[:, None]
     information = jacobian.T @ weighted + prior
     try:
@@ -344,6 +443,14 @@ def _solve(
     if not np.isfinite(step).all():
         return None
     return np.asarray(step, np.float64), weight
+
+
+def _robust(residual: NDArray[np.float64], least_noise: float) -> NDArray[np.float64]:
+    """Return Huber's weight (N,) of each residual."""
+    spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+    noise = max(spread, least_noise, 1e-6)
+    weight = np.minimum(1.0, _HUBER_SIGMAS * noise / np.maximum(np.abs(residual), 1e-12))
+    return np.asarray(weight / (noise**2 * _CORRELATED_PIXELS))
 
 
 def _sample(

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from slamcli.core.records import Link
-    from slamcli.stages.posegraph.problem import Problem, State
+    from slamcli.stages.posegraph.problem import Problem
+    from slamcli.stages.posegraph.state import State
 
     Solver = Literal["gtsam", "scipy"]
 
@@ -89,15 +90,11 @@ def solve(
         links,
         headings,
         places,
-        lever_known=lever_arm_metres is not None,
+        lever_arm_metres=lever_arm_metres,
         held=held,
         prior=prior,
     )
-    first = first_state(
-        problem,
-        pose_array([initial[frame] for frame in frames]),
-        np.array(lever_arm_metres or (0.0, 0.0)),
-    )
+    first = first_state(problem, pose_array([initial[frame] for frame in frames]))
     chosen = solver or ("gtsam" if find_spec("gtsam") else "scipy")
     links_alone = not headings and not places
     module = gtsam_solver if chosen == "gtsam" and links_alone else sparse_solver
@@ -115,7 +112,7 @@ def _agreed(
     whole = solver.optimise(problem, state, everything)
     if (problem.squared_errors(whole) <= sparse_solver.THRESHOLD).all():
         return whole, np.ones(len(problem), np.bool_)
-    motions = len(problem.motions.a)
+    motions = len(problem.motions)
     # A step is above suspicion while it agrees with its neighbours, without any loop.
     chain, _ = _spanning(problem, len(state.poses), np.flatnonzero(trusted[:motions]))
     anchors = set(problem.anchors.tolist())
@@ -123,7 +120,7 @@ def _agreed(
     roots = np.array(sorted([*anchors, *free]))
     alone = solver.optimise(replace(problem, anchors=roots), state, trusted.astype(np.float64))
     steady = trusted & (problem.squared_errors(alone) <= sparse_solver.THRESHOLD)
-    alone = first_state(problem, alone.poses, alone.lever_arm)
+    alone = first_state(problem, alone.poses)
     if steady[:motions].all() and (near := _nearly_agreed(problem, alone, solver)) is not None:
         return near
     order = np.argsort(~steady[:motions] + 1 * ~trusted[:motions], kind="stable")
@@ -143,7 +140,7 @@ def _nearly_agreed(
     """
     kept = problem.squared_errors(state) <= sparse_solver.THRESHOLD
     for _ in range(_MOST_ROUNDS):
-        kept[: len(problem.motions.a)] = True
+        kept[: len(problem.motions)] = True
         if kept.mean() < _NEARLY_ALL:
             return None
         state = solver.optimise(problem, state, kept.astype(np.float64))
@@ -157,7 +154,7 @@ def _settled(
     problem: Problem, state: State, kept: NDArray[np.bool_], solver: ModuleType
 ) -> tuple[State, NDArray[np.bool_]]:
     """Solve what was kept; then keep also what agrees with that, and what alone ties two parts."""
-    motions = len(problem.motions.a)
+    motions = len(problem.motions)
     for last in (False, True):
         errors = problem.squared_errors(state)[:motions]
         order = np.argsort(np.where(kept[:motions], -1.0, errors), kind="stable")
@@ -196,8 +193,8 @@ def _solution(
     sizes = np.array([3] * count + [1, 3, 2])
     *blocks, compass, datum, _lever = diagonal_blocks(*equations.entries, sizes)
     off = np.flatnonzero(~kept)
-    first = len(problem.motions.a)
-    second = first + len(problem.headings.pose)
+    first = len(problem.motions)
+    second = first + len(problem.headings)
     turn = Pose2(0.0, 0.0, float(state.east_north_from_map[2])).matrix
     return Solution(
         {frame: Pose2(*pose) for frame, pose in zip(frames, state.poses.tolist(), strict=True)},

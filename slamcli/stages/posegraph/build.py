@@ -7,15 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slamcli.core.geometry import Pose2, compose_poses, pose_array
-from slamcli.stages.posegraph.problem import (
-    ANCHOR_SIGMA,
-    Headings,
-    Motions,
-    Places,
-    Problem,
-    SensePrior,
-    State,
-)
+from slamcli.stages.posegraph.measurements import Headings, Motions, Places
+from slamcli.stages.posegraph.problem import Problem
+from slamcli.stages.posegraph.state import ANCHOR_SIGMA, LOOSE_SIGMA, SensePrior, State
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -28,6 +22,8 @@ if TYPE_CHECKING:
 _REWEIGHTINGS = 30
 # Metres within which a place counts in full as the first guess is made.
 _NEAR_METRES = 0.1
+# A robot's antenna is on the robot (m).
+_LEVER_SIGMA = 1.0
 
 
 def build(
@@ -36,7 +32,7 @@ def build(
     headings: Sequence[Heading],
     places: Sequence[Place],
     *,
-    lever_known: bool,
+    lever_arm_metres: tuple[float, float] | None,
     held: Collection[int] = (),
     prior: SenseOffsets | None = None,
 ) -> Problem:
@@ -44,8 +40,10 @@ def build(
 
     Parameters
     ----------
+    lever_arm_metres : (float, float) or None
+        Of the GPS antenna, where it is known.
     prior : SenseOffsets or None
-        What earlier readings told of them.
+        What earlier readings told of the senses; of the antenna that is taken for certain.
     """
     pose_of = {frame: place for place, frame in enumerate(frames)}
     return Problem(
@@ -75,32 +73,33 @@ def build(
             ]
         ),
         _numbers(sorted(pose_of[frame] for frame in held) or [0]),
-        lever_known,
-        len(frames),
-        None if prior is None else _prior(prior),
+        _nothing_told(lever_arm_metres) if prior is None else _told(prior),
     )
 
 
-def first_state(
-    problem: Problem, poses: NDArray[np.float64], lever_arm: NDArray[np.float64]
-) -> State:
+def first_state(problem: Problem, poses: NDArray[np.float64]) -> State:
     """Return first poses with the compass's offset and the datum that most readings agree on."""
-    if problem.prior is not None:
-        return State(poses, problem.prior.senses)
-    senses = np.zeros(6)
-    senses[4:] = lever_arm
-    if len(problem.headings.pose):
+    senses = problem.prior.senses.copy()
+    if problem.prior.told:
+        return State(poses, senses)
+    if len(problem.headings):
         told = poses[problem.headings.pose, 2] + problem.headings.turn
         senses[0] = _middle_angle(problem.headings.heading - told)
-    if len(problem.places.pose):
+    if len(problem.places):
         antenna = compose_poses(problem.places.motion, np.append(senses[4:], 0.0))
         in_map = compose_poses(poses[problem.places.pose], antenna)[:, :2]
         senses[1:4] = _align(in_map, problem.places.east_north)
     return State(poses, senses)
 
 
-def _prior(offsets: SenseOffsets) -> SensePrior:
-    """Return offsets, of which the lever arm is taken for certain, as a prior."""
+def _nothing_told(lever_arm_metres: tuple[float, float] | None) -> SensePrior:
+    lever = _LEVER_SIGMA if lever_arm_metres is None else ANCHOR_SIGMA
+    senses = np.zeros(6)
+    senses[4:] = lever_arm_metres or (0.0, 0.0)
+    return SensePrior(senses, np.diag(1.0 / np.array([LOOSE_SIGMA] * 4 + [lever] * 2)), told=False)
+
+
+def _told(offsets: SenseOffsets) -> SensePrior:
     datum = offsets.east_north_from_map
     back = Pose2(0.0, 0.0, -datum.theta).matrix
     covariance = ANCHOR_SIGMA**2 * np.eye(6)
@@ -108,7 +107,7 @@ def _prior(offsets: SenseOffsets) -> SensePrior:
     covariance[1:4, 1:4] = back @ offsets.east_north_covariance @ back.T
     senses = (offsets.compass_offset_radians, datum.x, datum.y, datum.theta)
     return SensePrior(
-        np.array([*senses, *offsets.lever_arm_metres]), _whitenings(covariance[None])[0]
+        np.array([*senses, *offsets.lever_arm_metres]), _whitenings(covariance[None])[0], told=True
     )
 
 

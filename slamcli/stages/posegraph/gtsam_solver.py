@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamcli.stages.posegraph.problem import ANCHOR_SIGMA, State
 from slamcli.stages.posegraph.sparse_solver import INLIER_PROBABILITY, LEAST_WEIGHT
+from slamcli.stages.posegraph.state import ANCHOR_SIGMA, State
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -17,7 +17,8 @@ from scipy.special import chdtri
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from slamcli.stages.posegraph.problem import Problem, State
+    from slamcli.stages.posegraph.problem import Problem
+    from slamcli.stages.posegraph.state import State
 
 # A true factor errs by more than the threshold once in ten thousand; a false one mostly by far. One
 # threshold for all, as for three numbers.

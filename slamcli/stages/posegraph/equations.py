@@ -1,0 +1,57 @@
+"""The normal equations of a pose graph as they are added up."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+
+class Equations:
+    """``H step = -gradient``."""
+
+    def __init__(self, size: int) -> None:
+        self.gradient = np.zeros(size)
+        self._rows: list[NDArray[np.int64]] = []
+        self._columns: list[NDArray[np.int64]] = []
+        self._values: list[NDArray[np.float64]] = []
+
+    @property
+    def entries(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+        """Rows, columns and values of H, (E,) each; those of one place add up."""
+        return (
+            np.concatenate(self._rows),
+            np.concatenate(self._columns),
+            np.concatenate(self._values),
+        )
+
+    def add(
+        self,
+        variables: Sequence[NDArray[np.int64]],
+        jacobians: Sequence[NDArray[np.float64]],
+        residuals: NDArray[np.float64],
+    ) -> None:
+        """Add K factors over the same kinds of variables.
+
+        Parameters
+        ----------
+        variables : sequence of (K, d) int64
+            Places in the step.
+        jacobians : sequence of (K, r, d) float64
+            Whitened.
+        residuals : (K, r) float64
+            Whitened.
+        """
+        for one, jacobian in zip(variables, jacobians, strict=True):
+            np.add.at(self.gradient, one, np.einsum("krd,kr->kd", jacobian, residuals))
+            for other, second in zip(variables, jacobians, strict=True):
+                block = np.swapaxes(jacobian, 1, 2) @ second
+                shape = block.shape
+                self._rows.append(np.broadcast_to(one[:, :, None], shape).ravel())
+                self._columns.append(np.broadcast_to(other[:, None, :], shape).ravel())
+                self._values.append(block.ravel())

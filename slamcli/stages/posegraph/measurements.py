@@ -1,0 +1,185 @@
+"""What was measured, as arrays, and how each kind misses a state: residuals and their Jacobians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
+
+import numpy as np
+
+from slamcli.core.geometry import compose_poses, relative_poses
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.stages.posegraph.state import State
+
+
+class Slopes(NamedTuple):
+    """By which variables the residuals of K factors change, and how.
+
+    Attributes
+    ----------
+    variables : tuple of (K, d) int64
+        Places in the step.
+    jacobians : tuple of (K, r, d) float64
+        Whitened.
+    """
+
+    variables: tuple[NDArray[np.int64], ...]
+    jacobians: tuple[NDArray[np.float64], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motions:
+    """Between two poses: K of them.
+
+    Attributes
+    ----------
+    a, b : (K,) int64
+        Places in the state's poses.
+    a_from_b : (K, 3) float64
+    whitening : (K, 3, 3) float64
+        Turns a residual into one of unit covariance.
+    """
+
+    a: NDArray[np.int64]
+    b: NDArray[np.int64]
+    a_from_b: NDArray[np.float64]
+    whitening: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.a)
+
+    def errors(self, state: State) -> NDArray[np.float64]:
+        """Return (K, 3) whitened residuals."""
+        seen = relative_poses(state.poses[self.a], state.poses[self.b])
+        raw = relative_poses(self.a_from_b, seen)
+        errors: NDArray[np.float64] = np.einsum("kij,kj->ki", self.whitening, raw)
+        return errors
+
+    def slopes(self, state: State) -> Slopes:
+        """Return how they change with either pose."""
+        seen = relative_poses(state.poses[self.a], state.poses[self.b])
+        back = _rotations(-self.a_from_b[:, 2])
+        of_b = np.zeros((len(self), 3, 3))
+        of_b[:, :2, :2] = _rotations(seen[:, 2] - self.a_from_b[:, 2])
+        of_b[:, 2, 2] = 1.0
+        of_a = np.zeros((len(self), 3, 3))
+        of_a[:, :2, :2] = -back
+        of_a[:, :2, 2] = np.einsum("kij,kj->ki", back, np.column_stack([seen[:, 1], -seen[:, 0]]))
+        of_a[:, 2, 2] = -1.0
+        return Slopes(
+            (_pose_places(self.a), _pose_places(self.b)),
+            (self.whitening @ of_a, self.whitening @ of_b),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Headings:
+    """Of the robot, by a compass: K of them.
+
+    Attributes
+    ----------
+    pose : (K,) int64
+    turn : (K,) float64
+        Of the robot from that pose to the moment of the reading, radians.
+    heading, sigma : (K,) float64, radians
+    """
+
+    pose: NDArray[np.int64]
+    turn: NDArray[np.float64]
+    heading: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+    def errors(self, state: State) -> NDArray[np.float64]:
+        """Return (K, 1) whitened residuals."""
+        told = state.poses[self.pose, 2] + self.turn + state.compass_offset
+        wrapped = (told - self.heading + np.pi) % (2.0 * np.pi) - np.pi
+        errors: NDArray[np.float64] = (wrapped / self.sigma)[:, None]
+        return errors
+
+    def slopes(self, state: State) -> Slopes:
+        """Return how they change with the pose's heading and with the compass's offset."""
+        slope = (1.0 / self.sigma)[:, None, None]
+        offset = np.full((len(self), 1), 3 * len(state.poses))
+        return Slopes((3 * self.pose[:, None] + 2, offset), (slope, slope))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Of the antenna, east and north of the datum, by GPS: K of them.
+
+    Attributes
+    ----------
+    pose : (K,) int64
+    motion : (K, 3) float64
+        ``pose_from_robot`` at the moment of the reading.
+    east_north : (K, 2) float64, metres
+    sigma : (K,) float64, metres
+    """
+
+    pose: NDArray[np.int64]
+    motion: NDArray[np.float64]
+    east_north: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+    def errors(self, state: State) -> NDArray[np.float64]:
+        """Return (K, 2) whitened residuals."""
+        in_map = compose_poses(state.poses[self.pose], self._antenna(state))
+        told = compose_poses(state.east_north_from_map, in_map)[:, :2]
+        errors: NDArray[np.float64] = (told - self.east_north) / self.sigma[:, None]
+        return errors
+
+    def slopes(self, state: State) -> Slopes:
+        """Return how they change with the pose, the datum and the lever arm."""
+        antenna = self._antenna(state)
+        antenna[:, 2] = 0.0
+        in_map = compose_poses(state.poses[self.pose], antenna)
+        turn = float(state.east_north_from_map[2])
+        heading = state.poses[self.pose, 2]
+        scale = (1.0 / self.sigma)[:, None, None]
+        senses = np.full((len(self), 1), 3 * len(state.poses))
+        return Slopes(
+            (_pose_places(self.pose), senses + np.arange(1, 4), senses + np.arange(4, 6)),
+            (
+                scale * _arm(_rotations(turn + heading), antenna[:, :2]),
+                scale * _arm(_rotations(np.full(len(self), turn)), in_map[:, :2]),
+                scale * _rotations(turn + heading + self.motion[:, 2]),
+            ),
+        )
+
+    def _antenna(self, state: State) -> NDArray[np.float64]:
+        """Return (K, 3) places of the antenna in each pose's frame."""
+        return compose_poses(self.motion, np.append(state.lever_arm, 0.0))
+
+
+Measured = Motions | Headings | Places
+Kind = TypeVar("Kind", bound=Measured)
+
+
+def some_of(measured: Kind, places: NDArray[np.int64]) -> Kind:
+    """Return the measurements at some places."""
+    return type(measured)(*(getattr(measured, field.name)[places] for field in fields(measured)))
+
+
+def _pose_places(poses: NDArray[np.int64]) -> NDArray[np.int64]:
+    return 3 * poses[:, None] + np.arange(3)
+
+
+def _arm(rotations: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (K, 2, 3): how a point moves with the frame that it is fixed to."""
+    lever = np.stack([-points[:, 1], points[:, 0]], axis=1)
+    return np.concatenate([rotations, rotations @ lever[:, :, None]], axis=2)
+
+
+def _rotations(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (K, 2, 2) rotation matrices of (K,) radians."""
+    cosine, sine = np.cos(angles), np.sin(angles)
+    return np.stack([np.stack([cosine, -sine], 1), np.stack([sine, cosine], 1)], axis=1)
