@@ -145,6 +145,8 @@ class DenseLevel:
         One standard deviation of the camera's noise in the detail.
     normalised : (h, w) float32
         The detail with its local contrast evened out; 0 outside.
+    frame_noise_gray : float
+        One standard deviation of the camera's noise in the frame itself; 0 where unknown.
     """
 
     pixel_from_metres: NDArray[np.float64]
@@ -158,6 +160,7 @@ class DenseLevel:
     gradients: NDArray[np.float64]
     noise_gray: float
     normalised: NDArray[np.float32]
+    frame_noise_gray: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,11 +227,14 @@ class View:
     image : (h, w) or (h, w, 3) uint8
     mask : (h, w) uint8
         255 where floor was really seen, else 0.
+    frame_noise_gray : float
+        One standard deviation of the camera's noise in the picture it was made of; 0 where unknown.
     """
 
     grid: Grid
     image: NDArray[np.uint8]
     mask: NDArray[np.uint8]
+    frame_noise_gray: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,6 +32,11 @@ _LEAST_FAR_GAIN = 1.3
 _LEAST_DEVIATION_GRAY = 1.0
 _SATURATED_GRAY = 250
 _MOST_SATURATED_SHARE = 0.98
+# Noise is measured in some blocks of a frame, in those of them that are smoothest.
+_NOISE_BLOCK_PIXELS = 20
+_NOISE_BLOCKS = 200
+_SMOOTHEST_SHARE = 0.1
+_DARK_GRAY = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,11 +173,40 @@ def resample(image: NDArray[np.uint8], resampler: Resampler) -> NDArray[np.uint8
 
 def make_view(frame: Frame, resampler: Resampler, *, gray: bool) -> View:
     """Return the frame's bird's-eye view; pixels that the frame masks out are not seen."""
-    image = to_gray(frame.image) if gray else frame.image
+    luminance = to_gray(frame.image)
+    image = luminance if gray else frame.image
     mask = resampler.mask
     if frame.mask is not None:
         mask = np.where(resample(frame.mask, resampler) == 255, mask, np.uint8(0))
-    return View(resampler.grid, resample(image, resampler), mask)
+    return View(resampler.grid, resample(image, resampler), mask, noise_gray(luminance))
+
+
+def noise_gray(image: NDArray[np.uint8]) -> float:
+    """Return about one standard deviation of the noise in a gray camera picture (H, W).
+
+    What neither planes nor edges leave (Immerkaer, Computer Vision and Image Understanding 64,
+    1996), in the picture's smoothest blocks, where the floor has no texture of its own. What a
+    camera or a codec smoothed away is not counted; nor are blocks that are black or burnt out.
+    """
+    blocks = _blocks(image)
+    level = blocks.mean(axis=(1, 2))
+    blocks = blocks[(level > _DARK_GRAY) & (level < _SATURATED_GRAY)]
+    if not len(blocks):
+        return 0.0
+    left = blocks[:, :, :-2] - 2 * blocks[:, :, 1:-1] + blocks[:, :, 2:]
+    left = left[:, :-2] - 2 * left[:, 1:-1] + left[:, 2:]
+    sizes = np.median(np.abs(left).reshape(len(left), -1), axis=1)
+    # The kernel's weights squared sum to 36; the median size of a normal deviate is 0.6745.
+    return float(np.quantile(sizes, _SMOOTHEST_SHARE)) / (6.0 * 0.6745)
+
+
+def _blocks(image: NDArray[np.uint8]) -> NDArray[np.int16]:
+    """Return square blocks spread over a picture, (N, side, side), N at most some hundreds."""
+    height, width = image.shape
+    step = max(_NOISE_BLOCK_PIXELS, math.isqrt(height * width // _NOISE_BLOCKS))
+    windows = np.lib.stride_tricks.sliding_window_view(image, (_NOISE_BLOCK_PIXELS,) * 2)
+    spread = windows[::step, ::step].reshape(-1, _NOISE_BLOCK_PIXELS, _NOISE_BLOCK_PIXELS)
+    return spread.astype(np.int16)
 
 
 def to_gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -19,9 +19,12 @@ if TYPE_CHECKING:
 
 _LEAST_SHARED_PIXELS = 200
 _OVERLAP_STEP = 16
-# Patches tell something when they vary by more than a camera's noise does at half resolution.
+# Patches tell something when they vary by more than a camera's noise does at half resolution: what
+# the warp and the halving leave of it has a third of the frame's own variance at most, and a patch
+# with half as much noise as pattern still agrees with itself.
 _PATCH_PIXELS = 16
 _TELLING_GRAY = 3.0
+_TELLING_NOISE_SHARE = 0.7
 _LEAST_PATCHES = 12
 _PATCH_CORRELATION = 0.5
 # By so much better must a patch agree under one motion to speak for it.
@@ -82,7 +85,7 @@ def agreement(a: DenseLevel, b: DenseLevel, view_a_from_view_b: NDArray[np.float
     values_b -= values_b.mean()
     norm = math.sqrt(float(values_a @ values_a) * float(values_b @ values_b))
     correlation = float(values_a @ values_b) / norm if norm > 0 else 0.0
-    patches, telling = _patch_correlations(a.image, moved, both)
+    patches, telling = _patch_correlations(a.image, moved, both, _telling_gray(a, b))
     confirmed = math.nan
     if np.count_nonzero(telling) >= _LEAST_PATCHES:
         agree = patches > _PATCH_CORRELATION
@@ -105,8 +108,9 @@ def preference(
     ----------
     view_a_from_view_b, rival : (3, 3) float64
     """
-    first, telling = _patch_correlations(a.image, *_laid_over(a, b, view_a_from_view_b))
-    second, also = _patch_correlations(a.image, *_laid_over(a, b, rival))
+    least = _telling_gray(a, b)
+    first, telling = _patch_correlations(a.image, *_laid_over(a, b, view_a_from_view_b), least)
+    second, also = _patch_correlations(a.image, *_laid_over(a, b, rival), least)
     both = telling & also
     count = np.count_nonzero(both)
     if count < _LEAST_PATCHES:
@@ -131,8 +135,17 @@ def _laid_over(
     return np.asarray(moved, np.uint8), (np.asarray(seen) == 255) & (a.mask == 255)
 
 
+def _telling_gray(a: DenseLevel, b: DenseLevel) -> float:
+    """Return by how much a patch must vary to tell something."""
+    noise_gray = max(a.frame_noise_gray, b.frame_noise_gray)
+    return max(_TELLING_GRAY, _TELLING_NOISE_SHARE * noise_gray)
+
+
 def _patch_correlations(
-    image_a: NDArray[np.uint8], image_b: NDArray[np.uint8], both: NDArray[np.bool_]
+    image_a: NDArray[np.uint8],
+    image_b: NDArray[np.uint8],
+    both: NDArray[np.bool_],
+    telling_gray: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return each patch's own correlation, and whether it is whole and shows more than noise."""
     rows, columns = (side - side % _PATCH_PIXELS for side in both.shape)
@@ -150,7 +163,7 @@ def _patch_correlations(
     patch_a -= patch_a.mean(axis=1, keepdims=True)
     patch_b -= patch_b.mean(axis=1, keepdims=True)
     energy_a, energy_b = (patch_a**2).mean(axis=1), (patch_b**2).mean(axis=1)
-    telling[whole] = np.maximum(energy_a, energy_b) > _TELLING_GRAY**2
+    telling[whole] = np.maximum(energy_a, energy_b) > telling_gray**2
     norm = np.sqrt(np.maximum(energy_a * energy_b, np.float32(1e-6)))
     correlation[whole] = (patch_a * patch_b).mean(axis=1) / norm
     return correlation, telling

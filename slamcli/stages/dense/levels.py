@@ -48,11 +48,15 @@ def make_levels(view: View) -> tuple[DenseLevel, ...]:
 
     The last level is small enough to be searched whole.
     """
-    return levels_from_half(_halved(view.image), _halved(view.mask), view.grid)
+    image, mask = _halved(view.image), _halved(view.mask)
+    return levels_from_half(image, mask, view.grid, view.frame_noise_gray)
 
 
 def levels_from_half(
-    image: NDArray[np.uint8], mask: NDArray[np.uint8], grid: Grid
+    image: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
+    grid: Grid,
+    frame_noise_gray: float = 0.0,
 ) -> tuple[DenseLevel, ...]:
     """Return the pyramid of a view of which only its first level, at half resolution, is kept.
 
@@ -61,19 +65,24 @@ def levels_from_half(
     image, mask : (h, w) uint8
     grid : Grid
         Of the whole view.
+    frame_noise_gray : float
+        Of the frame that the view was made of; 0 where unknown.
     """
     pixel_from_metres, metres_per_pixel = (
         _HALVE @ grid.pixel_from_metres,
         2.0 * grid.metres_per_pixel,
     )
-    levels = [_level(image, mask, pixel_from_metres, metres_per_pixel, None)]
+    first = _level(image, mask, pixel_from_metres, metres_per_pixel, frame_noise_gray, None)
+    levels = [first]
     while len(levels) < _MOST_LEVELS and (
         len(levels) < _LEAST_LEVELS or np.count_nonzero(mask == 255) > _MOST_COARSEST_PIXELS
     ):
         image, mask = _halved(image), _halved(mask)
         pixel_from_metres, metres_per_pixel = _HALVE @ pixel_from_metres, 2.0 * metres_per_pixel
         noise_gray = _HALVED_NOISE * levels[-1].noise_gray
-        levels.append(_level(image, mask, pixel_from_metres, metres_per_pixel, noise_gray))
+        levels.append(
+            _level(image, mask, pixel_from_metres, metres_per_pixel, frame_noise_gray, noise_gray)
+        )
     return tuple(levels)
 
 
@@ -86,6 +95,7 @@ def _level(
     mask: NDArray[np.uint8],
     pixel_from_metres: NDArray[np.float64],
     metres_per_pixel: float,
+    frame_noise_gray: float,
     noise_gray: float | None,
 ) -> DenseLevel:
     detail, inside = _detail(image, mask)
@@ -109,6 +119,7 @@ def _level(
         gradients,
         noise_gray,
         _normalised(detail, inside, noise_gray),
+        frame_noise_gray,
     )
 
 
