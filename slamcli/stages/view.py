@@ -65,8 +65,8 @@ class Band:
     rows: slice
     columns: slice
     inside: NDArray[np.uint8]
-    map_fixed: NDArray[np.int16]
-    map_fraction: NDArray[np.uint16]
+    columns_read: NDArray[np.float32]
+    rows_read: NDArray[np.float32]
 
 
 def registration_metres_per_pixel(calibration: Calibration) -> float:
@@ -109,37 +109,29 @@ def make_resampler(
             continue
         rows, columns = _extent(inside, axis=1), _extent(inside, axis=0)
         part = inside[rows, columns]
-        fixed, fraction = _fixed_maps(
-            mapping.columns[rows, columns],
-            mapping.rows[rows, columns],
-            part,
-            calibration.image_size,
-            number,
-        )
-        bands.append(Band(number, rows, columns, part.astype(np.uint8), fixed, fraction))
+        maps = _maps(mapping, (rows, columns), part, calibration.image_size, number)
+        bands.append(Band(number, rows, columns, part.astype(np.uint8), *maps))
     return Resampler(grid, np.where(seen, np.uint8(255), np.uint8(0)), tuple(bands))
 
 
-def _fixed_maps(
-    columns: NDArray[np.float32],
-    rows: NDArray[np.float32],
+def _maps(
+    mapping: camera.SamplingMap,
+    part: tuple[slice, slice],
     inside: NDArray[np.bool_],
     image_size: tuple[int, int],
     level: int,
-) -> tuple[NDArray[np.int16], NDArray[np.uint16]]:
-    """Return OpenCV's fixed-point maps into one level of the picture's pyramid.
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the columns and rows to read in one level of the picture's pyramid.
 
     All within the level's picture, its border repeated: OpenCV is slow where a map leads outside.
     """
     # pyrDown keeps every other pixel, so pixel k of a level is pixel 2^level k of the picture.
     scale, steps = np.float32(0.5**level), 2**level
-    last = [-(-side // steps) - 1 for side in image_size]
     columns, rows = (
-        np.where(inside, np.clip(places * scale, 0, end), 0).astype(np.float32)
-        for places, end in zip((columns, rows), last, strict=True)
+        np.where(inside, np.clip(places[part] * scale, 0, -(-side // steps) - 1), 0)
+        for places, side in zip((mapping.columns, mapping.rows), image_size, strict=True)
     )
-    fixed, fraction = cv2.convertMaps(columns, rows, cv2.CV_16SC2)
-    return np.asarray(fixed, dtype=np.int16), np.asarray(fraction, dtype=np.uint16)
+    return columns.astype(np.float32), rows.astype(np.float32)
 
 
 def make_view_resampler(calibration: Calibration, metres_per_pixel: float) -> Resampler:
@@ -168,7 +160,7 @@ def resample(image: NDArray[np.uint8], resampler: Resampler) -> NDArray[np.uint8
     for band in resampler.bands:
         while level < band.level:
             level_image, level = np.asarray(cv2.pyrDown(level_image), dtype=np.uint8), level + 1
-        warped = cv2.remap(level_image, band.map_fixed, band.map_fraction, cv2.INTER_LINEAR)
+        warped = cv2.remap(level_image, band.columns_read, band.rows_read, cv2.INTER_LINEAR)
         cv2.copyTo(warped, band.inside, painted[band.rows, band.columns])
     return painted
 

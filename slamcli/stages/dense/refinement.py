@@ -108,7 +108,7 @@ def refine(
     """
     sigmas = _mounting_sigmas(calibration, tilt_sigma_radians)
     state = _State(a_from_b, np.zeros(len(sigmas)), np.zeros(len(sigmas)))
-    covariance: NDArray[np.float64] | None = None
+    solved: _Solved | None = None
     for level_a, level_b in zip(reversed(levels_a), reversed(levels_b), strict=True):
         if len(level_a.points) < _LEAST_TEMPLATE_PIXELS:
             return None
@@ -117,12 +117,15 @@ def refine(
         if level_a is levels_a[0]:
             samples.append(level_a)
         for sample in samples or [level_a]:
-            refined = _refine_level(sample, level_b, state, calibration, sigmas, known)
-            if refined is None:
+            solved = _refine_level(sample, level_b, state, calibration, sigmas, known)
+            if solved is None:
                 return None
-            state, covariance = refined
+            state = solved.state
     moved = (a_from_b.inverse() @ state.a_from_b).translation_length
-    if covariance is None or moved > _MOST_SHIFT_PIXELS * levels_a[-1].metres_per_pixel:
+    if solved is None or moved > _MOST_SHIFT_PIXELS * levels_a[-1].metres_per_pixel:
+        return None
+    covariance = _covariance(levels_b[0], solved)
+    if covariance is None:
         return None
     covariance = covariance + _systematic(levels_a[0])
     shown_a = _shown_from_floor(calibration, state.mounting_a)
@@ -155,6 +158,29 @@ class _State:
     a_from_b: Pose2
     mounting_a: NDArray[np.float64]
     mounting_b: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
+    """The last step on a level, and what it was made from.
+
+    Attributes
+    ----------
+    state : _State
+    jacobian : (N, K) float64
+    pixels, points : (N, 2) float64
+        In b's level and on its floor.
+    weight : (N,) float64
+        Of each residual, by what is left over.
+    prior : (K, K) float64
+    """
+
+    state: _State
+    jacobian: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+    points: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    prior: NDArray[np.float64]
 
 
 def _mounting_sigmas(calibration: Calibration, tilt_sigma_radians: float) -> NDArray[np.float64]:
@@ -202,8 +228,8 @@ def _refine_level(
     calibration: Calibration,
     sigmas: NDArray[np.float64],
     known: Known | None,
-) -> tuple[_State, NDArray[np.float64]] | None:
-    """Return the state refined on one level, and the covariance (3, 3) of its motion."""
+) -> _Solved | None:
+    """Return the state refined on one level; None when that does not determine it."""
     count = len(sigmas)
     shifts_a = _shifts(calibration, a.points, sigmas)
     prior = np.diag(np.concatenate([np.zeros(5), np.ones(2 * count)]))
@@ -251,8 +277,7 @@ def _refine_level(
     left = math.sqrt(float(np.sum(share * residual**2) / np.sum(share)))
     noise = max(left, _LEAST_LEFT_SHARE * contrast, 1e-6)
     weight = share / (noise**2 * _CORRELATED_PIXELS)
-    covariance = _covariance(b, jacobian, pixels, points, weight, prior)
-    return None if covariance is None else (state, covariance)
+    return _Solved(state, jacobian, pixels, points, weight, prior)
 
 
 def _off_prior(
@@ -268,19 +293,18 @@ def _off_prior(
     return off
 
 
-def _covariance(
-    b: DenseLevel,
-    jacobian: NDArray[np.float64],
-    pixels: NDArray[np.float64],
-    points: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    prior: NDArray[np.float64],
-) -> NDArray[np.float64] | None:
+def _covariance(b: DenseLevel, solved: _Solved) -> NDArray[np.float64] | None:
     """Return the covariance (3, 3) of the motion, from what both views show of the gradients.
 
     The noise of one view has gradients too, which would pass for knowledge of a motion along a
     plain line; the product with the other view's, whose noise is another, has none on average.
     """
+    jacobian, pixels, points, weight = (
+        solved.jacobian,
+        solved.pixels,
+        solved.points,
+        solved.weight,
+    )
     right, up = levels.slopes(b.detail, b.metres_per_pixel)
     other = np.column_stack([_sample(right, pixels), _sample(up, pixels)])
     both = jacobian.copy()
@@ -305,7 +329,7 @@ def _covariance(
     chance = np.maximum(_CHANCE_SIGMAS * chance, _STAIRS)
     seen = (vectors * np.maximum(values - chance, 0.0)) @ vectors.T
     information = (
-        seen + central.T @ prior @ central * scales + _LEAST_INFORMATION * np.eye(len(seen))
+        seen + central.T @ solved.prior @ central * scales + _LEAST_INFORMATION * np.eye(len(seen))
     )
     covariance = invert(information) * scales
     return np.asarray((central @ covariance @ central.T)[:3, :3], np.float64)
@@ -331,7 +355,7 @@ def _solve(
     least_noise : float
         Of a residual, one standard deviation.
     """
-    spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+    spread = 1.4826 * _median(np.abs(residual - _median(residual)))
     noise = max(spread, least_noise, 1e-6)
     weight = np.minimum(1.0, _HUBER_SIGMAS * noise / np.maximum(np.abs(residual), 1e-12))
     weight /= noise**2 * _CORRELATED_PIXELS
@@ -344,6 +368,14 @@ def _solve(
     if not np.isfinite(step).all():
         return None
     return np.asarray(step, np.float64), weight
+
+
+def _median(values: NDArray[np.float64]) -> float:
+    """Return numpy's median, without its search for what is not a number."""
+    middle = len(values) // 2
+    if len(values) % 2:
+        return float(np.partition(values, middle)[middle])
+    return float(np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1].mean())
 
 
 def _sample(
