@@ -155,20 +155,26 @@ def fidelity(picture: NDArray[np.uint8], truth: NDArray[np.uint8]) -> tuple[floa
     moved = cv2.warpAffine(gray, matrix, size, flags=cv2.INTER_AREA).astype(np.float32)
     seen = cv2.warpAffine(shown.astype(np.uint8), matrix, size, flags=cv2.INTER_NEAREST)
     inside = cv2.erode(seen, np.ones((9, 9), np.uint8)) > 0
-    true = floor.astype(np.float32)
-    moved *= float((moved[inside] * true[inside]).sum() / (moved[inside] ** 2).sum())
-    error = float(np.mean((moved - true)[inside] ** 2))
+    return likeness(moved, floor.astype(np.float32), inside)
+
+
+def likeness(
+    shown: NDArray[np.float32], true: NDArray[np.float32], inside: NDArray[np.bool_]
+) -> tuple[float, float, float]:
+    """Return PSNR (dB), SSIM, sharpness of a gray picture that lies on the truth, by one gain."""
+    shown = shown * np.float32((shown[inside] * true[inside]).sum() / (shown[inside] ** 2).sum())
+    error = float(np.mean((shown - true)[inside] ** 2))
     energies = [
         float(
             (cv2.Sobel(one, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(one, cv2.CV_32F, 0, 1) ** 2)[
                 inside
             ].mean()
         )
-        for one in (moved, true)
+        for one in (shown, true)
     ]
     return (
         10 * math.log10(255**2 / error),
-        similarity(moved, true, inside),
+        similarity(shown, true, inside),
         energies[0] / energies[1],
     )
 
