@@ -1,12 +1,14 @@
 """Side by side on the same frames: slam stitch, cv2.Stitcher and the `stitching` package.
 
-Run: make bench, or python benchmarks/peers.py [--frames N] [--size WxH] [--floor NAME]
-[--folder FRAMES --calibration YAML] [--json FILE]. The peers cannot make bird's-eye views, so they
-are given them, as PNG by `slam warp`; making those does not count. Each runs in a process of its
-own: wall and processor time and peak memory are the whole process's. Fidelity is measured on the
-floor that the result shows, after the best similarity onto the true floor (SIFT, RANSAC), for the
-peers' maps have no scale: peak signal to noise ratio after one gain, structural similarity
-(Wang et al., IEEE Trans. Image Processing 13(4), 2004), gradient energy as a share of the truth's.
+Run: make bench, or python benchmarks/peers.py [--frames N ...] [--size WxH] [--floor NAME]
+[--drive FOLDER | --folder FRAMES --calibration YAML] [--limit SECONDS] [--json FILE]. A drive is
+what `slam simulate` has written and kept, of which the first N frames are taken; its truth gives
+the fidelity. The peers cannot make bird's-eye views, so they are given them, by `slam warp`; making
+those does not count. Each runs in a process of its own: wall and processor time and peak memory
+are the whole process's. Fidelity is measured on the floor that the result shows, after the best
+similarity onto the true floor (SIFT, RANSAC), for the peers' maps have no scale: peak signal to
+noise ratio after one gain, structural similarity (Wang et al., IEEE Trans. Image Processing 13(4),
+2004), gradient energy as a share of the truth's.
 """
 
 from __future__ import annotations
@@ -28,18 +30,17 @@ import cv2
 import numpy as np
 
 from slamcli.core.geometry import Grid, Pose2
+from slamcli.io.calibrations import load_calibration
 from slamcli.io.frames import list_frames
-from slamcli.stages.simulate import floors
+from slamcli.stages.simulate import floors, photograph
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SLAM = (sys.executable, "-m", "slamcli")
-MOST_SECONDS = 1800
 # Where the simulator's course drives start in the floor's own frame.
 COURSE_START = Pose2(-0.45, -0.45, 0.0)
 TRUTH_METRES_PER_PIXEL = 0.002
-FLOOR_METRES_PER_PIXEL = 0.0005
 VIEW_METRES_PER_PIXEL = 0.002
 
 OPENCV = """
@@ -78,15 +79,14 @@ class Outcome:
     remark: str = ""
 
 
-def run(tool: str, command: list[str], frames: int) -> tuple[Outcome, str]:
-    """Run a tool to its end and return what it took, and what it printed."""
-    measured = ["/usr/bin/env", "python3", "-c", _MEASURE, *command]
-    try:
-        done = subprocess.run(measured, capture_output=True, text=True, timeout=MOST_SECONDS)
-    except subprocess.TimeoutExpired:
-        return Outcome(tool, MOST_SECONDS, math.nan, math.nan, 0, frames, remark="timed out"), ""
+def run(tool: str, command: list[str], frames: int, limit: float) -> tuple[Outcome, str]:
+    """Run a tool to its end, or to the limit; return what it took, and what it printed."""
+    measured = [sys.executable, "-c", _MEASURE, str(limit), *command]
+    done = subprocess.run(measured, capture_output=True, text=True)
     wall, processor, peak, code = done.stdout.strip().splitlines()[-1].split()
     remark = "" if code == "0" else (done.stderr.strip().splitlines() or [f"exit {code}"])[-1][:70]
+    if float(wall) >= limit:
+        remark = "timed out"
     figures = (float(wall), float(processor), float(peak) / 1e3)
     return Outcome(tool, *figures, 0, frames, remark=remark), done.stdout
 
@@ -94,40 +94,44 @@ def run(tool: str, command: list[str], frames: int) -> tuple[Outcome, str]:
 _MEASURE = """
 import resource, subprocess, sys, time
 started = time.perf_counter()
-code = subprocess.call(sys.argv[1:])
+try:
+    code = subprocess.call(sys.argv[2:], timeout=float(sys.argv[1]))
+except subprocess.TimeoutExpired:
+    code = 1
 used = resource.getrusage(resource.RUSAGE_CHILDREN)
 wall = time.perf_counter() - started
 print(wall, used.ru_utime + used.ru_stime, used.ru_maxrss, code)
 """
 
 
-def slam(frames: Path, calibration: Path, output: Path, count: int) -> Outcome:
+def slam(frames: Path, calibration: Path, output: Path, count: int, limit: float) -> Outcome:
     """Map the camera's own pictures, as coarsely as the peers' views are."""
     command = [*SLAM, "stitch", str(frames), "-c", str(calibration), "-o", str(output)]
     command += ["--metres-per-pixel", str(VIEW_METRES_PER_PIXEL)]
-    outcome, _ = run("slam stitch", command, count)
+    outcome, _ = run("slam stitch", command, count, limit)
     rows = list(csv.DictReader((output / "poses.csv").open()))
     placed = sum(bool(row["x"]) for row in rows)
     return Outcome(**{**asdict(outcome), "placed": placed})
 
 
-def peer(tool: str, script: str, views: list[Path], output: Path) -> Outcome:
+def peer(tool: str, script: str, views: list[Path], output: Path, limit: float) -> Outcome:
     """Stitch bird's-eye views by another's code."""
     command = [sys.executable, "-c", script, str(output), *map(str, views)]
-    outcome, printed = run(tool, command, len(views))
+    outcome, printed = run(tool, command, len(views), limit)
     found = [line.split() for line in printed.splitlines() if line.startswith("placed")]
     placed = int(found[-1][1]) if found and output.exists() else 0
     return Outcome(**{**asdict(outcome), "placed": placed})
 
 
-def true_floor(name: str, drive: Path, seed: int) -> NDArray[np.uint8]:
-    """Return the floor around a simulated drive."""
-    rows = list(csv.DictReader((drive / "truth.csv").open()))
+def true_floor(name: str, drive: Path, seed: int, count: int) -> NDArray[np.uint8]:
+    """Return the floor around the first frames of a simulated drive."""
+    rows = list(csv.DictReader((drive / "truth.csv").open()))[:count]
     start = COURSE_START if name == "course" else Pose2()
     places = start.apply([(float(row["x"]), float(row["y"])) for row in rows])
     corners = np.vstack([places.min(axis=0) - 1.5, places.max(axis=0) + 1.5])
     grid = Grid.covering(corners, TRUTH_METRES_PER_PIXEL)
-    floor = floors.make_floor(name, 0.5, FLOOR_METRES_PER_PIXEL, seed)
+    resolution = photograph.texture_metres_per_pixel(load_calibration(drive / "camera.yaml"))
+    floor = floors.make_floor(name, 0.5, resolution, seed)
     return floor.region(grid)
 
 
@@ -151,20 +155,26 @@ def fidelity(picture: NDArray[np.uint8], truth: NDArray[np.uint8]) -> tuple[floa
     moved = cv2.warpAffine(gray, matrix, size, flags=cv2.INTER_AREA).astype(np.float32)
     seen = cv2.warpAffine(shown.astype(np.uint8), matrix, size, flags=cv2.INTER_NEAREST)
     inside = cv2.erode(seen, np.ones((9, 9), np.uint8)) > 0
-    true = floor.astype(np.float32)
-    moved *= float((moved[inside] * true[inside]).sum() / (moved[inside] ** 2).sum())
-    error = float(np.mean((moved - true)[inside] ** 2))
+    return likeness(moved, floor.astype(np.float32), inside)
+
+
+def likeness(
+    shown: NDArray[np.float32], true: NDArray[np.float32], inside: NDArray[np.bool_]
+) -> tuple[float, float, float]:
+    """Return PSNR (dB), SSIM, sharpness of a gray picture that lies on the truth, by one gain."""
+    shown = shown * np.float32((shown[inside] * true[inside]).sum() / (shown[inside] ** 2).sum())
+    error = float(np.mean((shown - true)[inside] ** 2))
     energies = [
         float(
             (cv2.Sobel(one, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(one, cv2.CV_32F, 0, 1) ** 2)[
                 inside
             ].mean()
         )
-        for one in (moved, true)
+        for one in (shown, true)
     ]
     return (
         10 * math.log10(255**2 / error),
-        similarity(moved, true, inside),
+        similarity(shown, true, inside),
         energies[0] / energies[1],
     )
 
@@ -185,7 +195,7 @@ def similarity(a: NDArray[np.float32], b: NDArray[np.float32], inside: NDArray[n
 
 
 def compare(
-    frames: Path, calibration: Path, work: Path, truth: NDArray[np.uint8] | None
+    frames: Path, calibration: Path, work: Path, truth: NDArray[np.uint8] | None, limit: float
 ) -> list[Outcome]:
     """Run every tool on the same frames."""
     files = list_frames([frames])
@@ -198,11 +208,11 @@ def compare(
         picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
         flat.append(path.with_suffix(".bmp"))
         cv2.imwrite(str(flat[-1]), picture)
-    outcomes = [slam(frames, calibration, work / "map", len(files))]
+    outcomes = [slam(frames, calibration, work / "map", len(files), limit)]
     results = [work / "map" / "mosaic.png"]
     for tool, script in (("cv2.Stitcher SCANS", OPENCV), ("stitching, affine", PACKAGE)):
         results.append(work / f"{tool.split()[0].strip(',')}.png")
-        outcomes.append(peer(tool, script, flat, results[-1]))
+        outcomes.append(peer(tool, script, flat, results[-1], limit))
     if truth is None:
         return outcomes
     measured = []
@@ -228,31 +238,53 @@ def table(outcomes: list[Outcome]) -> str:
     return "\n".join(lines)
 
 
+def simulate(drive: Path, floor: str, frames: int, size: str, length: float) -> None:
+    """Make a drive to compare on."""
+    options = ["--floor", floor, "--frames", str(frames), "--size", size, "--length", str(length)]
+    command = [*SLAM, "simulate", str(drive), *options, "--path", "loop"]
+    subprocess.run(command, check=True, capture_output=True)
+
+
+def begun(drive: Path, count: int, work: Path) -> Path:
+    """Return a folder of links to the first frames of a drive."""
+    first = work / "frames"
+    first.mkdir()
+    for path in sorted((drive / "frames").iterdir())[:count]:
+        (first / path.name).symlink_to(path.resolve())
+    return first
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument("--frames", type=int, nargs="+", default=[100])
     parser.add_argument("--size", default="1920x1080")
     parser.add_argument("--floor", default="asphalt")
     parser.add_argument("--length", type=float, default=None)
+    parser.add_argument("--drive", type=Path, help="of slam simulate, on the same floor")
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--calibration", type=Path)
+    parser.add_argument("--limit", type=float, default=1800.0)
     parser.add_argument("--json", type=Path)
     told = parser.parse_args()
+    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} processors")
+    outcomes = []
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
-        if told.folder is not None:
-            outcomes = compare(told.folder, told.calibration, work, None)
-        else:
-            drive = work / "drive"
-            length = told.length or 0.06 * told.frames
-            options = ["--floor", told.floor, "--frames", str(told.frames), "--size", told.size]
-            command = [*SLAM, "simulate", str(drive), *options, "--length", str(length)]
-            subprocess.run([*command, "--path", "loop"], check=True, capture_output=True)
-            truth = true_floor(told.floor, drive, 0)
-            outcomes = compare(drive / "frames", drive / "camera.yaml", work, truth)
-    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} processors")
-    print(table(outcomes))
+        drive = told.drive or work / "drive"
+        if told.drive is None and told.folder is None:
+            most = max(told.frames)
+            simulate(drive, told.floor, most, told.size, told.length or 0.06 * most)
+        for count in told.frames if told.folder is None else [0]:
+            here = work / str(count)
+            here.mkdir()
+            if told.folder is not None:
+                found = compare(told.folder, told.calibration, here, None, told.limit)
+            else:
+                frames, truth = begun(drive, count, here), true_floor(told.floor, drive, 0, count)
+                found = compare(frames, drive / "camera.yaml", here, truth, told.limit)
+            print(table(found), flush=True)
+            outcomes += found
     if told.json:
         told.json.write_text(json.dumps([asdict(one) for one in outcomes], indent=1))
 

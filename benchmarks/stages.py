@@ -1,7 +1,11 @@
 """What one 1080p frame costs, stage by stage, beside the OpenCV kernels it is made of.
 
-Run: python benchmarks/stages.py [--frames N]. Every figure is a median over the frames of one run
-on one thread; compare ratios, not milliseconds, between machines.
+Run: python benchmarks/stages.py [--frames N] [--drive FOLDER] [--whole N]. Every figure is a median
+over the frames of one run on one thread; compare ratios, not milliseconds, between machines.
+
+With --whole N, `slam stitch` then maps N frames (a drive's own, forwards and backwards in turn) on
+all processors, and its wall time is held against what its kernels alone take there, from the table:
+OpenCV's where there is one, and for the pixels' pyramid, check and refinement the stage itself.
 """
 
 from __future__ import annotations
@@ -9,27 +13,36 @@ from __future__ import annotations
 import argparse
 import math
 import platform
+import resource
+import subprocess
+import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from scale import repeat
 
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Calibration, Shot, Tile
 from slamcli.io import pngs, rasters
+from slamcli.io.calibrations import load_calibration, save_calibration
 from slamcli.io.files import write_image
-from slamcli.io.frames import list_frames, read_frame
+from slamcli.io.frames import list_frames, read_frame, read_reduced_gray
 from slamcli.mapper import Mapper
 from slamcli.painter import Painter
+from slamcli.run.executor import default_workers
 from slamcli.stages import align, camera, dense, features, view
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
+
+    from slamcli.io.frames import FrameFile
 
 IMAGE_SIZE = (1920, 1080)
 STEP_METRES = 0.03
@@ -87,19 +100,45 @@ def median_milliseconds(work: Callable[[int], object], count: int) -> float:
     return 1e3 * float(np.median(durations))
 
 
-def measure(count: int) -> list[tuple[str, float, float]]:
-    """Return (stage, milliseconds, milliseconds of its bare kernels) for each stage."""
+@dataclass(frozen=True)
+class Row:
+    """One stage's cost.
+
+    Attributes
+    ----------
+    milliseconds, kernel_milliseconds : float
+        Of one call; of its bare kernels, nan where it is one itself.
+    a_frame : float
+        Calls for a frame of a run.
+    """
+
+    stage: str
+    milliseconds: float
+    kernel_milliseconds: float
+    a_frame: float = 1.0
+
+    @property
+    def kernel(self) -> float:
+        """What its kernels take for a frame of a run, milliseconds."""
+        bare = self.kernel_milliseconds
+        return self.a_frame * (self.milliseconds if math.isnan(bare) else bare)
+
+
+def measure(calibration: Calibration, files: list[FrameFile]) -> list[Row]:
+    """Return each stage's cost."""
     cv2.setNumThreads(1)
-    calibration = make_calibration()
-    with tempfile.TemporaryDirectory() as name:
-        make_frames(calibration, count, Path(name))
-        files = list_frames([Path(name)])
-        data = [np.frombuffer(file.path.read_bytes(), np.uint8) for file in files]
-        frames = [read_frame(file) for file in files]
-        decode = median_milliseconds(lambda i: read_frame(files[i]), count)
-        bare_decode = median_milliseconds(lambda i: cv2.imdecode(data[i], cv2.IMREAD_COLOR), count)
+    count = len(files)
+    data = [np.frombuffer(file.path.read_bytes(), np.uint8) for file in files]
+    frames = [read_frame(file) for file in files]
+    decode = median_milliseconds(lambda i: read_frame(files[i]), count)
+    bare_decode = median_milliseconds(lambda i: cv2.imdecode(data[i], cv2.IMREAD_COLOR), count)
+    reduced = median_milliseconds(lambda i: read_reduced_gray(files[i]), count)
+    reduce = cv2.IMREAD_REDUCED_GRAYSCALE_4
+    bare_reduced = median_milliseconds(lambda i: cv2.imdecode(data[i], reduce), count)
 
     mapper = Mapper(calibration)
+    track = [mapper.update(frame).map_from_robot or Pose2() for frame in frames]
+    tried = len(mapper.links) / count
     resampler = view.make_view_resampler(calibration, mapper.metres_per_pixel)
     grid = resampler.grid
     view_from_image = grid.pixel_from_metres @ calibration.robot_from_image
@@ -130,7 +169,8 @@ def measure(count: int) -> list[tuple[str, float, float]]:
 
     tilt = math.radians(options.tilt_sigma_degrees)
     poses = [fit.pose or Pose2(STEP_METRES) for fit in fits]
-    make = median_milliseconds(lambda i: dense.make_levels(views[i]), count)
+    stencils = dense.make_stencils(resampler.mask)
+    make = median_milliseconds(lambda i: dense.make_levels(views[i], stencils), count)
     levels = [dense.make_levels(one) for one in views]
     agree = median_milliseconds(
         lambda i: dense.agreement(levels[i][0], levels[i + 1][0], poses[i].matrix), count - 1
@@ -141,7 +181,6 @@ def measure(count: int) -> list[tuple[str, float, float]]:
     )
 
     painter = Painter(calibration, camera.default_metres_per_pixel(calibration))
-    track = [Pose2(STEP_METRES * index, 0.0, 0.01 * index) for index in range(count)]
     paint = median_milliseconds(lambda i: painter.patch(frames[i], track[i]), count)
     grids = [painter.extent([track[i]]) for i in range(count)]
     patch_size = (grids[0].width, grids[0].height)
@@ -168,16 +207,17 @@ def measure(count: int) -> list[tuple[str, float, float]]:
     encode = median_milliseconds(lambda _: pngs.compress(pixels), 3) / count
     bare_encode = median_milliseconds(lambda _: encode_png(pixels), 3) / count
     return [
-        ("decode JPEG", decode, bare_decode),
-        ("warp to the view", warp, bare_warp),
-        ("detect ORB", detect, bare_detect),
-        ("match and fit", fit, bare_fit),
-        ("pyramid of the view", make, math.nan),
-        ("check the pixels", agree, math.nan),
-        ("refine on the pixels", refine, math.nan),
-        ("paint a patch", paint, bare_paint),
-        ("paint the tiles (share)", blend, bare_paint),
-        ("encode PNG (share)", encode, bare_encode),
+        Row("decode JPEG", decode, bare_decode, 2.0),
+        Row("decode JPEG, a quarter", reduced, bare_reduced),
+        Row("warp to the view", warp, bare_warp),
+        Row("detect ORB", detect, bare_detect),
+        Row("match and fit", fit, bare_fit, tried),
+        Row("pyramid of the view", make, math.nan),
+        Row("check the pixels", agree, math.nan, tried),
+        Row("refine on the pixels", refine, math.nan, tried),
+        Row("paint a patch", paint, bare_paint, 0.0),
+        Row("paint the tiles (share)", blend, bare_paint),
+        Row("encode PNG (share)", encode, bare_encode),
     ]
 
 
@@ -195,22 +235,56 @@ def encode_png(picture: NDArray[np.uint8]) -> None:
     cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 3])
 
 
+def whole(drive: Path, camera_file: Path, count: int, work: Path) -> tuple[float, float]:
+    """Map so many frames of a drive; return wall and processor seconds."""
+    frames = work / "repeated"
+    frames.mkdir()
+    repeat(drive, count, frames)
+    command = [sys.executable, "-m", "slamcli", "stitch", str(frames), "-c", str(camera_file)]
+    before, started = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    subprocess.run([*command, "-o", str(work / "map")], check=True, capture_output=True)
+    wall, after = time.perf_counter() - started, resource.getrusage(resource.RUSAGE_CHILDREN)
+    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return wall, used
+
+
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=20)
-    rows = measure(parser.parse_args().frames)
-    print(
-        f"{platform.processor() or platform.machine()}, Python {platform.python_version()}, "
-        f"OpenCV {cv2.__version__}, one thread, 1920x1080"
-    )
-    print(f"{'stage':<22}{'ms':>8}{'kernel':>9}{'ratio':>8}")
-    for name, ours, kernel in rows:
-        bare = "" if math.isnan(kernel) else f"{kernel:9.1f}{ours / kernel:8.2f}"
-        print(f"{name:<22}{ours:8.1f}{bare}")
-    total = sum(ours for _, ours, _ in rows)
-    known = sum(kernel for _, _, kernel in rows if not math.isnan(kernel))
-    print(f"{'sum':<22}{total:8.1f}{known:9.1f}{total / known:8.2f}")
+    parser.add_argument("--drive", type=Path, help="of slam simulate; default: made here")
+    parser.add_argument("--whole", type=int, default=0)
+    told = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        work = drive = Path(name)
+        calibration = make_calibration()
+        if told.drive is not None:
+            drive = told.drive
+            calibration = load_calibration(drive / "camera.yaml")
+        else:
+            (drive / "frames").mkdir()
+            make_frames(calibration, told.frames, drive / "frames")
+            save_calibration(drive / "camera.yaml", calibration)
+        rows = measure(calibration, list_frames([drive / "frames"])[: told.frames])
+        print(
+            f"{platform.processor() or platform.machine()}, Python {platform.python_version()}, "
+            f"OpenCV {cv2.__version__}, one thread, 1920x1080"
+        )
+        print(f"{'stage':<24}{'ms':>8}{'kernel':>9}{'ratio':>8}{'a frame':>9}")
+        for row in rows:
+            bare, ours = row.kernel_milliseconds, row.milliseconds
+            told_bare = f"{'':>17}" if math.isnan(bare) else f"{bare:9.1f}{ours / bare:8.2f}"
+            print(f"{row.stage:<24}{ours:8.1f}{told_bare}{row.a_frame:9.2f}")
+        kernels = sum(row.kernel for row in rows)
+        print(f"{'sum for a frame':<24}{sum(r.a_frame * r.milliseconds for r in rows):8.1f}")
+        print(f"{'kernels for a frame':<24}{kernels:8.1f}")
+        if told.whole:
+            wall, used = whole(drive, drive / "camera.yaml", told.whole, work)
+            least = 1e-3 * kernels * told.whole / default_workers()
+            print(
+                f"{told.whole} frames: wall {wall:.1f} s, {wall / least:.2f} times the kernels on "
+                f"{default_workers()} processors; processor {used:.1f} s, {used / wall:.0%} of one"
+            )
 
 
 if __name__ == "__main__":

@@ -50,6 +50,9 @@ def compress(prepared: Prepared) -> Keyframe:
 class Expander:
     """Makes keyframes ready to be compared again, the latest few only once.
 
+    A copy or a saved state begins with none of them ready: they are much larger than what they are
+    made from.
+
     Parameters
     ----------
     grid : Grid
@@ -59,6 +62,9 @@ class Expander:
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
         self._ready: dict[int, Prepared] = {}
+
+    def __reduce__(self) -> tuple[type[Expander], tuple[Grid]]:
+        return Expander, (self.grid,)
 
     def expand(self, keyframe: Keyframe) -> Prepared:
         """Return a keyframe with its pyramid, but without its view.

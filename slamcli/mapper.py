@@ -71,6 +71,10 @@ class Mapper:
         self._far_resampler = None
         if self.options.dense:
             self._far_resampler = view.make_far_resampler(calibration, self.metres_per_pixel)
+        self._stencils = dense.make_stencils(self._resampler.mask)
+        self._far_stencils = None
+        if self._far_resampler is not None:
+            self._far_stencils = dense.make_stencils(self._far_resampler.mask)
         self._graph = Graph(Senses(telemetry))
         self._loops = Loops(calibration, self.options, self.grid)
         self._keyframes: list[Prepared] = []
@@ -156,12 +160,12 @@ class Mapper:
             seen = view.make_view(frame, self._resampler, gray=True)
             view.check_view(seen)
             found = features.extract(seen, self.calibration, self.options.features, self._tilt)
-            levels = dense.make_levels(seen)
+            whole = frame.mask is None
+            levels = dense.make_levels(seen, self._stencils if whole else None)
             far_levels: tuple[DenseLevel, ...] = ()
             if self._far_resampler is not None:
-                far_levels = dense.make_levels(
-                    view.make_view(frame, self._far_resampler, gray=True)
-                )
+                far = view.make_view(frame, self._far_resampler, gray=True)
+                far_levels = dense.make_levels(far, self._far_stencils if whole else None)
             alike = dense.repeats(levels[-1])
         except FrameError as error:
             return Prepared(frame.index, frame.name, frame.stamp, None, None, str(error))

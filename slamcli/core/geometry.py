@@ -37,6 +37,8 @@ def apply_homography(b_from_a: NDArray[np.float64], points: ArrayLike) -> NDArra
     (..., 2) array, in b. Points on the line at infinity come out as inf or nan, without a warning.
     """
     coordinates = np.asarray(points, dtype=np.float64)
+    if b_from_a[2, 0] == 0.0 == b_from_a[2, 1] and b_from_a[2, 2] == 1.0:
+        return np.asarray(coordinates @ b_from_a[:2, :2].T + b_from_a[:2, 2])
     mapped = coordinates @ b_from_a[:, :2].T + b_from_a[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         quotient: NDArray[np.float64] = mapped[..., :2] / mapped[..., 2:]

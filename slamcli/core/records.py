@@ -135,6 +135,8 @@ class DenseLevel:
         The image without its slow brightness, which belongs to lamp and lens.
     inside : (h, w) uint8
         255 where the detail and its gradient are free of the mask's border.
+    weight : (h, w) float32
+        1 there, else 0.
     points : (N, 2) float64
         The pixels whose gradients tell most, metres, robot frame.
     values : (N,) float64
@@ -145,6 +147,8 @@ class DenseLevel:
         One standard deviation of the camera's noise in the detail.
     normalised : (h, w) float32
         The detail with its local contrast evened out; 0 outside.
+    energy : float
+        The mean of its square, of what is inside.
     frame_noise_gray : float
         One standard deviation of the camera's noise in the frame itself; 0 where unknown.
     """
@@ -155,11 +159,13 @@ class DenseLevel:
     mask: NDArray[np.uint8]
     detail: NDArray[np.float32]
     inside: NDArray[np.uint8]
+    weight: NDArray[np.float32]
     points: NDArray[np.float64]
     values: NDArray[np.float64]
     gradients: NDArray[np.float64]
     noise_gray: float
     normalised: NDArray[np.float32]
+    energy: float
     frame_noise_gray: float
 
 

@@ -117,9 +117,7 @@ def _floor(options: SimulationOptions, calibration: Calibration) -> floors.Floor
                 f"--floor {options.floor}: neither {kinds} nor a picture ({error})"
             ) from error
         return floors.picture_floor(image, options.floor_metres_per_pixel)
-    # Fine enough for the near edge, and no finer than the eye of the camera.
-    nearest = camera.floor_sampling(calibration, camera.seen_floor(calibration))[:, 1].min()
-    resolution = float(np.clip(0.00025 * 2 ** round(math.log2(nearest / 0.00025)), 0.00025, 0.001))
+    resolution = photograph.texture_metres_per_pixel(calibration)
     return floors.make_floor(options.floor, options.wear, resolution, options.seed)
 
 

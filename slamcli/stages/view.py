@@ -46,20 +46,15 @@ class Resampler:
     Attributes
     ----------
     grid : Grid
-    sharpness : (h, w) float32
-        Of the camera's picture where each pixel is read; 0 where no floor is seen.
+    mask : (h, w) uint8
+        255 where the calibrated camera sees floor, else 0.
     bands : tuple of Band
         One for each level of the image pyramid that the raster needs.
     """
 
     grid: Grid
-    sharpness: NDArray[np.float32]
+    mask: NDArray[np.uint8]
     bands: tuple[Band, ...]
-
-    @property
-    def mask(self) -> NDArray[np.uint8]:
-        """(h, w) uint8: 255 where the calibrated camera sees floor, else 0."""
-        return np.where(self.sharpness > 0, np.uint8(255), np.uint8(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,9 +64,9 @@ class Band:
     level: int
     rows: slice
     columns: slice
-    inside: NDArray[np.bool_]
-    map_fixed: NDArray[np.int16]
-    map_fraction: NDArray[np.uint16]
+    inside: NDArray[np.uint8]
+    columns_read: NDArray[np.float32]
+    rows_read: NDArray[np.float32]
 
 
 def registration_metres_per_pixel(calibration: Calibration) -> float:
@@ -113,24 +108,30 @@ def make_resampler(
         if not inside.any():
             continue
         rows, columns = _extent(inside, axis=1), _extent(inside, axis=0)
-        # OpenCV's pyrDown keeps every other pixel, so pixel k of a level is pixel 2^level k below.
-        scale = np.float32(0.5**number)
-        fixed, fraction = cv2.convertMaps(
-            mapping.columns[rows, columns] * scale,
-            mapping.rows[rows, columns] * scale,
-            cv2.CV_16SC2,
-        )
-        bands.append(
-            Band(
-                number,
-                rows,
-                columns,
-                inside[rows, columns],
-                np.asarray(fixed, dtype=np.int16),
-                np.asarray(fraction, dtype=np.uint16),
-            )
-        )
-    return Resampler(grid, mapping.sharpness, tuple(bands))
+        part = inside[rows, columns]
+        maps = _maps(mapping, (rows, columns), part, calibration.image_size, number)
+        bands.append(Band(number, rows, columns, part.astype(np.uint8), *maps))
+    return Resampler(grid, np.where(seen, np.uint8(255), np.uint8(0)), tuple(bands))
+
+
+def _maps(
+    mapping: camera.SamplingMap,
+    part: tuple[slice, slice],
+    inside: NDArray[np.bool_],
+    image_size: tuple[int, int],
+    level: int,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the columns and rows to read in one level of the picture's pyramid.
+
+    All within the level's picture, its border repeated: OpenCV is slow where a map leads outside.
+    """
+    # pyrDown keeps every other pixel, so pixel k of a level is pixel 2^level k of the picture.
+    scale, steps = np.float32(0.5**level), 2**level
+    columns, rows = (
+        np.where(inside, np.clip(places[part] * scale, 0, -(-side // steps) - 1), 0)
+        for places, side in zip((mapping.columns, mapping.rows), image_size, strict=True)
+    )
+    return columns.astype(np.float32), rows.astype(np.float32)
 
 
 def make_view_resampler(calibration: Calibration, metres_per_pixel: float) -> Resampler:
@@ -159,15 +160,8 @@ def resample(image: NDArray[np.uint8], resampler: Resampler) -> NDArray[np.uint8
     for band in resampler.bands:
         while level < band.level:
             level_image, level = np.asarray(cv2.pyrDown(level_image), dtype=np.uint8), level + 1
-        warped = cv2.remap(
-            level_image,
-            band.map_fixed,
-            band.map_fraction,
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        inside = band.inside if image.ndim == 2 else band.inside[..., None]
-        np.copyto(painted[band.rows, band.columns], np.asarray(warped, np.uint8), where=inside)
+        warped = cv2.remap(level_image, band.columns_read, band.rows_read, cv2.INTER_LINEAR)
+        cv2.copyTo(warped, band.inside, painted[band.rows, band.columns])
     return painted
 
 
@@ -240,14 +234,16 @@ def check_frame(frame: Frame, calibration: Calibration) -> None:
 
 def check_view(view: View) -> None:
     """Raise FrameError when the floor part of a (gray) view shows nothing."""
-    pixels = view.image[view.mask > 0]
-    if pixels.size == 0:
+    count = cv2.countNonZero(view.mask)
+    if count == 0:
         raise FrameError("no floor in the frame: all of it is masked or out of range")
-    mean, deviation = float(pixels.mean()), float(pixels.std())
+    means, deviations = cv2.meanStdDev(view.image, mask=view.mask)
+    mean, deviation = float(means[0, 0]), float(deviations[0, 0])
     if deviation < _LEAST_DEVIATION_GRAY:
         word = "black" if mean < 16 else "white" if mean > 239 else "blank"
         raise FrameError(f"the floor is all {word} (mean gray {mean:.0f}): nothing to match")
-    saturated = float(np.mean(pixels >= _SATURATED_GRAY))
+    bright = cv2.bitwise_and(cv2.inRange(view.image, _SATURATED_GRAY, 255), view.mask)
+    saturated = cv2.countNonZero(bright) / count
     if saturated > _MOST_SATURATED_SHARE:
         raise FrameError(f"overexposed: {saturated:.0%} of the floor is white; lower the exposure")
 

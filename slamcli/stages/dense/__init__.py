@@ -1,7 +1,7 @@
 """Two views compared pixel by pixel: searched, refined, and judged."""
 
 from slamcli.stages.dense.agreement import Agreement, agreeing, agreement, overlap, preference
-from slamcli.stages.dense.levels import levels_from_half, make_levels
+from slamcli.stages.dense.levels import Stencil, levels_from_half, make_levels, make_stencils
 from slamcli.stages.dense.refinement import Known, Refinement, refine
 from slamcli.stages.dense.repetition import repeats
 from slamcli.stages.dense.search import Candidate, Search, Window, evidence, search
@@ -14,12 +14,14 @@ __all__ = [
     "Refinement",
     "Search",
     "Standing",
+    "Stencil",
     "Window",
     "agreeing",
     "agreement",
     "evidence",
     "levels_from_half",
     "make_levels",
+    "make_stencils",
     "overlap",
     "preference",
     "refine",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
@@ -11,6 +12,8 @@ from slamcli.core.geometry import apply_homography, invert
 from slamcli.core.records import DenseLevel
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from slamcli.core.geometry import Grid
@@ -22,7 +25,7 @@ _LEAST_LEVELS = 2
 _MOST_LEVELS = 6
 _MOST_COARSEST_PIXELS = 20_000
 _MOST_TEMPLATE_PIXELS = 15_000
-_HIGH_PASS_PIXELS = 25
+_HIGH_PASS_SIZE = (25, 25)
 _LEAST_WINDOW_SHARE = 0.7
 _SAMPLE_STEP = 16
 _NOISE_KERNEL = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
@@ -43,20 +46,57 @@ _DARK_GRAY = 16.0
 _LOGARITHM = ((128.0 + _DARK_GRAY) * np.log(np.arange(256) + _DARK_GRAY)).astype(np.float32)
 
 
-def make_levels(view: View) -> tuple[DenseLevel, ...]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Stencil:
+    """What a level of every view needs to know of where floor is seen; the same for all frames.
+
+    Attributes
+    ----------
+    mask : (h, w) uint8
+        255 where all of a pixel was seen.
+    seen : (h, w) float32
+        1 there, else 0.
+    share : (h, w) float32
+        Of the high-pass's window about a pixel that was seen, and not less than a little.
+    inside : (h, w) uint8
+        255 where the detail and its gradient are free of the mask's border.
+    weight : (h, w) float32
+        1 there, else 0.
+    near : (h, w) float32
+        The weight, smoothed as the contrast is, and not less than a little.
+    """
+
+    mask: NDArray[np.uint8]
+    seen: NDArray[np.float32]
+    share: NDArray[np.float32]
+    inside: NDArray[np.uint8]
+    weight: NDArray[np.float32]
+    near: NDArray[np.float32]
+
+
+def make_stencils(mask: NDArray[np.uint8]) -> tuple[Stencil, ...]:
+    """Return the stencils of all levels of views that see floor where (h, w) `mask` is 255."""
+    return _stencils_from_half(_halved(mask))
+
+
+def make_levels(view: View, stencils: Sequence[Stencil] | None = None) -> tuple[DenseLevel, ...]:
     """Return a gray view's pyramid, from half resolution on, with what tells most at each level.
 
     The last level is small enough to be searched whole.
+
+    Parameters
+    ----------
+    view : View
+    stencils : sequence of Stencil or None
+        From `make_stencils` of the view's mask, where they are at hand.
     """
-    image, mask = _halved(view.image), _halved(view.mask)
-    return levels_from_half(image, mask, view.grid, view.frame_noise_gray)
+    if stencils is None:
+        stencils = make_stencils(view.mask)
+    return _levels(_halved(view.image), stencils, view.grid, view.frame_noise_gray)
 
 
 def levels_from_half(
-    image: NDArray[np.uint8],
-    mask: NDArray[np.uint8],
-    grid: Grid,
-    frame_noise_gray: float = 0.0,
+    image: NDArray[np.uint8], mask: NDArray[np.uint8], grid: Grid
 ) -> tuple[DenseLevel, ...]:
     """Return the pyramid of a view of which only its first level, at half resolution, is kept.
 
@@ -65,25 +105,56 @@ def levels_from_half(
     image, mask : (h, w) uint8
     grid : Grid
         Of the whole view.
-    frame_noise_gray : float
-        Of the frame that the view was made of; 0 where unknown.
     """
-    pixel_from_metres, metres_per_pixel = (
-        _HALVE @ grid.pixel_from_metres,
-        2.0 * grid.metres_per_pixel,
-    )
-    first = _level(image, mask, pixel_from_metres, metres_per_pixel, frame_noise_gray, None)
-    levels = [first]
-    while len(levels) < _MOST_LEVELS and (
-        len(levels) < _LEAST_LEVELS or np.count_nonzero(mask == 255) > _MOST_COARSEST_PIXELS
-    ):
-        image, mask = _halved(image), _halved(mask)
+    return _levels(image, _stencils_from_half(mask), grid, 0.0)
+
+
+def _levels(
+    image: NDArray[np.uint8], stencils: Sequence[Stencil], grid: Grid, frame_noise_gray: float
+) -> tuple[DenseLevel, ...]:
+    levels: list[DenseLevel] = []
+    pixel_from_metres, metres_per_pixel = grid.pixel_from_metres, grid.metres_per_pixel
+    for stencil in stencils:
         pixel_from_metres, metres_per_pixel = _HALVE @ pixel_from_metres, 2.0 * metres_per_pixel
-        noise_gray = _HALVED_NOISE * levels[-1].noise_gray
+        noise_gray = None
+        if levels:
+            image, noise_gray = _halved(image), _HALVED_NOISE * levels[-1].noise_gray
         levels.append(
-            _level(image, mask, pixel_from_metres, metres_per_pixel, frame_noise_gray, noise_gray)
+            _level(
+                image, stencil, pixel_from_metres, metres_per_pixel, frame_noise_gray, noise_gray
+            )
         )
     return tuple(levels)
+
+
+def _stencils_from_half(mask: NDArray[np.uint8]) -> tuple[Stencil, ...]:
+    stencils = [_stencil(mask)]
+    while len(stencils) < _MOST_LEVELS and (
+        len(stencils) < _LEAST_LEVELS or np.count_nonzero(mask == 255) > _MOST_COARSEST_PIXELS
+    ):
+        mask = _halved(mask)
+        stencils.append(_stencil(mask))
+    return tuple(stencils)
+
+
+def _stencil(mask: NDArray[np.uint8]) -> Stencil:
+    seen = (mask == 255).astype(np.float32)
+    share = np.asarray(cv2.blur(seen, _HIGH_PASS_SIZE))
+    # The outermost ring's gradient would be that of the mask, not of the floor.
+    eroded = np.asarray(cv2.erode((mask == 255).astype(np.uint8), np.ones((5, 5))))
+    # Where the border cuts much off the mean's window, another view's mean is another.
+    whole = (eroded > 0) & (share >= _LEAST_WINDOW_SHARE)
+    weight = whole.astype(np.float32)
+    near = np.asarray(cv2.GaussianBlur(weight, (0, 0), _CONTRAST_PIXELS))
+    least = np.float32(1e-3)
+    return Stencil(
+        mask,
+        seen,
+        np.maximum(share, least),
+        np.where(whole, np.uint8(255), np.uint8(0)),
+        weight,
+        np.maximum(near, least),
+    )
 
 
 def _halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -92,46 +163,47 @@ def _halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def _level(
     image: NDArray[np.uint8],
-    mask: NDArray[np.uint8],
+    stencil: Stencil,
     pixel_from_metres: NDArray[np.float64],
     metres_per_pixel: float,
     frame_noise_gray: float,
     noise_gray: float | None,
 ) -> DenseLevel:
-    detail, inside = _detail(image, mask)
+    detail = _detail(image, stencil)
     if noise_gray is None:
-        noise_gray = _noise(detail, inside)
+        noise_gray = _noise(detail, stencil.inside)
     right, up = slopes(detail, metres_per_pixel)
-    chosen = _most_telling(np.where(inside == 255, right * right + up * up, np.float32(0.0)))
+    chosen = _most_telling((right * right + up * up) * stencil.weight)
     rows, columns = np.unravel_index(chosen, detail.shape)
     points = apply_homography(invert(pixel_from_metres), np.column_stack([columns, rows]))
     gradients = np.column_stack([right.ravel()[chosen], up.ravel()[chosen]]).astype(np.float64)
     values = detail.ravel()[chosen].astype(np.float64)
+    normalised = _normalised(detail, stencil, noise_gray)
+    whole = max(float(cv2.countNonZero(stencil.inside)), 1.0)
     return DenseLevel(
         pixel_from_metres,
         metres_per_pixel,
         image,
-        mask,
+        stencil.mask,
         detail,
-        inside,
+        stencil.inside,
+        stencil.weight,
         points,
         values,
         gradients,
         noise_gray,
-        _normalised(detail, inside, noise_gray),
+        normalised,
+        float(cv2.norm(normalised, cv2.NORM_L2SQR)) / whole,
         frame_noise_gray,
     )
 
 
 def _normalised(
-    detail: NDArray[np.float32], inside: NDArray[np.uint8], noise_gray: float
+    detail: NDArray[np.float32], stencil: Stencil, noise_gray: float
 ) -> NDArray[np.float32]:
     """Return the detail with its local contrast evened out; 0 outside."""
-    weight = (inside == 255).astype(np.float32)
-    values = detail * weight
-    side = (0, 0)
-    near = np.maximum(cv2.GaussianBlur(weight, side, _CONTRAST_PIXELS), np.float32(1e-3))
-    variance = cv2.GaussianBlur(values * values, side, _CONTRAST_PIXELS) / near
+    values = detail * stencil.weight
+    variance = cv2.GaussianBlur(values * values, (0, 0), _CONTRAST_PIXELS) / stencil.near
     floor = np.float32((_LEAST_CONTRAST_GRAY + _NOISE_TIMES * noise_gray) ** 2)
     return np.asarray(values / np.sqrt(variance + floor), np.float32)
 
@@ -146,27 +218,15 @@ def _noise(detail: NDArray[np.float32], inside: NDArray[np.uint8]) -> float:
     return _NOISE_FACTOR * float(np.median(left)) if left.size else 0.0
 
 
-def _detail(
-    image: NDArray[np.uint8], mask: NDArray[np.uint8]
-) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def _detail(image: NDArray[np.uint8], stencil: Stencil) -> NDArray[np.float32]:
     """Take out a picture's slow brightness, which belongs to lamp and lens.
 
     Both multiply: the logarithm makes that a sum, of which the high-pass leaves nothing. Without
     it a plain line would show the lens's vignetting, which does not move when the robot does.
     """
-    inside = (mask == 255).astype(np.float32)
-    values = np.asarray(cv2.LUT(image, _LOGARITHM)) * inside
-    size = (_HIGH_PASS_PIXELS, _HIGH_PASS_PIXELS)
-    weight = np.asarray(cv2.blur(inside, size))
-    mean = np.asarray(cv2.blur(values, size)) / np.maximum(weight, np.float32(1e-3))
-    detail = np.asarray(cv2.GaussianBlur((values - mean) * inside, (3, 3), 0), np.float32)
-    # The outermost ring's gradient would be that of the mask, not of the floor.
-    eroded = np.asarray(
-        cv2.erode(np.where(mask == 255, np.uint8(255), np.uint8(0)), np.ones((5, 5)))
-    )
-    # Where the border cuts much off the mean's window, another view's mean is another.
-    cut = weight < _LEAST_WINDOW_SHARE
-    return detail, np.where(cut, np.uint8(0), eroded).astype(np.uint8)
+    values = np.asarray(cv2.LUT(image, _LOGARITHM)) * stencil.seen
+    mean = np.asarray(cv2.blur(values, _HIGH_PASS_SIZE)) / stencil.share
+    return np.asarray(cv2.GaussianBlur((values - mean) * stencil.seen, (3, 3), 0), np.float32)
 
 
 def gain(image: NDArray[np.uint8]) -> NDArray[np.float32]:

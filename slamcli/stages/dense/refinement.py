@@ -119,7 +119,7 @@ def refine(
     """
     sigmas = _mounting_sigmas(calibration, tilt_sigma_radians)
     state = _State(a_from_b, np.zeros(len(sigmas)), np.zeros(len(sigmas)))
-    covariance: NDArray[np.float64] | None = None
+    solved: _Solved | None = None
     for level_a, level_b in zip(reversed(levels_a), reversed(levels_b), strict=True):
         if len(level_a.points) < _LEAST_TEMPLATE_PIXELS:
             return None
@@ -128,12 +128,15 @@ def refine(
         if level_a is levels_a[0]:
             samples.append(level_a)
         for sample in samples or [level_a]:
-            refined = _refine_level(sample, level_b, state, calibration, sigmas, known)
-            if refined is None:
+            solved = _refine_level(sample, level_b, state, calibration, sigmas, known)
+            if solved is None:
                 return None
-            state, covariance = refined
+            state = solved.state
     moved = (a_from_b.inverse() @ state.a_from_b).translation_length
-    if covariance is None or moved > _MOST_SHIFT_PIXELS * levels_a[-1].metres_per_pixel:
+    if solved is None or moved > _MOST_SHIFT_PIXELS * levels_a[-1].metres_per_pixel:
+        return None
+    covariance = _covariance(levels_b[0], solved)
+    if covariance is None:
         return None
     left_out = _left_out(levels_a[0], levels_b[0], state, calibration)
     covariance = covariance + _systematic(levels_a[0]) + left_out
@@ -215,8 +218,8 @@ def _refine_level(
     calibration: Calibration,
     sigmas: NDArray[np.float64],
     known: Known | None,
-) -> tuple[_State, NDArray[np.float64]] | None:
-    """Return the state refined on one level, and the covariance (3, 3) of its motion."""
+) -> _Solved | None:
+    """Return the state refined on one level; None when that does not determine it."""
     count = len(sigmas)
     shifts_a = _shifts(calibration, a.points, sigmas)
     prior = np.diag(np.concatenate([np.zeros(5), np.ones(2 * count)]))
@@ -242,8 +245,7 @@ def _refine_level(
         if moved < _CONVERGED_PIXELS * b.metres_per_pixel:
             break
     assert line is not None
-    covariance = _covariance(b, line, _weights(line, weight), prior)
-    return None if covariance is None else (state, covariance)
+    return _Solved(state, line, _weights(line, weight), prior)
 
 
 def _weights(line: _Linearised, weight: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -279,6 +281,26 @@ class _Linearised:
     residual: NDArray[np.float64]
     jacobian: NDArray[np.float64]
     contrast: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
+    """The last step on a level, and what it was made from.
+
+    Attributes
+    ----------
+    state : _State
+    line : _Linearised
+    weight : (N,) float64
+        Of each residual, by what is left over.
+    prior : (K, K) float64
+        Information of what is known beforehand.
+    """
+
+    state: _State
+    line: _Linearised
+    weight: NDArray[np.float64]
+    prior: NDArray[np.float64]
 
 
 def _linearise(
@@ -374,14 +396,13 @@ def _blur(b: DenseLevel, line: _Linearised) -> NDArray[np.float64]:
     return np.column_stack([curved, curved * line.points[:, 0]])
 
 
-def _covariance(
-    b: DenseLevel, line: _Linearised, weight: NDArray[np.float64], prior: NDArray[np.float64]
-) -> NDArray[np.float64] | None:
+def _covariance(b: DenseLevel, solved: _Solved) -> NDArray[np.float64] | None:
     """Return the covariance (3, 3) of the motion, from what both views show of the gradients.
 
     The noise of one view has gradients too, which would pass for knowledge of a motion along a
     plain line; the product with the other view's, whose noise is another, has none on average.
     """
+    line, weight = solved.line, solved.weight
     points, jacobian = line.points, line.jacobian
     right, up = levels.slopes(b.detail, b.metres_per_pixel)
     other = np.column_stack([_sample(right, line.pixels), _sample(up, line.pixels)])
@@ -407,7 +428,7 @@ def _covariance(
     chance = np.maximum(_CHANCE_SIGMAS * chance, _STAIRS)
     seen = (vectors * np.maximum(values - chance, 0.0)) @ vectors.T
     information = (
-        seen + central.T @ prior @ central * scales + _LEAST_INFORMATION * np.eye(len(seen))
+        seen + central.T @ solved.prior @ central * scales + _LEAST_INFORMATION * np.eye(len(seen))
     )
     covariance = invert(information) * scales
     return np.asarray((central @ covariance @ central.T)[:3, :3], np.float64)
@@ -447,7 +468,7 @@ def _solve(
 
 def _robust(residual: NDArray[np.float64], least_noise: float) -> NDArray[np.float64]:
     """Return Huber's weight (N,) of each residual."""
-    spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+    spread = 1.4826 * _median(np.abs(residual - _median(residual)))
     noise = max(spread, least_noise, 1e-6)
     weight = np.minimum(1.0, _HUBER_SIGMAS * noise / np.maximum(np.abs(residual), 1e-12))
     return np.asarray(weight / (noise**2 * _CORRELATED_PIXELS))
@@ -464,3 +485,11 @@ def _sample(
     columns_map, rows_map = folded.reshape(2, rows, _REMAP_COLUMNS)
     sampled = cv2.remap(image, columns_map, rows_map, cv2.INTER_LINEAR)
     return np.asarray(sampled, dtype=np.float64).ravel()[:count]
+
+
+def _median(values: NDArray[np.float64]) -> float:
+    """Return numpy's median, without its search for what is not a number."""
+    middle = len(values) // 2
+    if len(values) % 2:
+        return float(np.partition(values, middle)[middle])
+    return float(np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1].mean())

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
-from scipy.ndimage import maximum_filter
 
 from slamcli.stages.dense.search import autocorrelation
 
@@ -19,6 +19,7 @@ _LEAST_OVERLAP = 0.3
 # Within so many pixels of no shift at all everything looks like itself.
 _OWN_PEAK_PIXELS = 5
 _MOST_SHIFTS = 3
+_AROUND = np.ones((5, 5), np.uint8)
 
 
 def repeats(level: DenseLevel) -> NDArray[np.float64]:
@@ -32,7 +33,7 @@ def repeats(level: DenseLevel) -> NDArray[np.float64]:
     far = np.hypot(np.arange(rows)[:, None] - rows // 2, np.arange(columns)[None, :] - columns // 2)
     usable = (shared >= _LEAST_OVERLAP) & (far > _OWN_PEAK_PIXELS)
     usable[: rows // 2] = False
-    peaks = (correlation == maximum_filter(correlation, 5)) & usable
+    peaks = (correlation == cv2.dilate(correlation, _AROUND)) & usable
     peaks &= correlation >= _LEAST_CORRELATION
     found = np.argwhere(peaks)
     shortest = np.argsort(far[peaks], kind="stable")[:_MOST_SHIFTS]

@@ -110,9 +110,9 @@ def search(
     count : int
         Most candidates.
     """
-    values_a, weight_a = a.normalised, _weight(a)
-    values_b, weight_b = b.normalised, _weight(b)
-    seen = min(float(weight_a.sum()), float(weight_b.sum()))
+    values_a, weight_a = a.normalised, a.weight
+    values_b, weight_b = b.normalised, b.weight
+    seen = float(min(cv2.countNonZero(a.inside), cv2.countNonZero(b.inside)))
     least = max(min_overlap * seen, _LEAST_PIXELS)
     middle = _middle_of(weight_b)
     height, width = values_a.shape
@@ -121,7 +121,7 @@ def search(
         fft.next_fast_len(width + values_b.shape[1], real=True),
     )
     first = _transforms(values_a, weight_a, shape)
-    energy = _energy(values_a, weight_a), _energy(values_b, weight_b)
+    energy = a.energy, b.energy
     allowed = _allowed(a, window, middle, shape)
     steps = math.ceil(window.angle_radians / _STEP_RADIANS)
     rotations, correlations, shared = [], [], []
@@ -151,13 +151,13 @@ def autocorrelation(level: DenseLevel) -> tuple[NDArray[np.float32], NDArray[np.
 
     Two pictures of equal shape, no shift in their middle, pixel (rows // 2, columns // 2).
     """
-    values, weight = level.normalised, _weight(level)
+    values, weight = level.normalised, level.weight
     height, width = values.shape
     shape = fft.next_fast_len(2 * height, real=True), fft.next_fast_len(2 * width, real=True)
     spectra = _transforms(values, weight, shape)
-    energy = _energy(values, weight)
-    correlation, pixels = _correlate(spectra, spectra, (energy, energy), shape)
-    whole = max(float(weight.sum()), 1.0)
+    energy = level.energy, level.energy
+    correlation, pixels = _correlate(spectra, spectra, energy, shape)
+    whole = max(float(cv2.countNonZero(level.inside)), 1.0)
     return (
         np.asarray(np.fft.fftshift(correlation), np.float32),
         np.asarray(np.fft.fftshift(pixels) / whole, np.float32),
@@ -176,36 +176,27 @@ def evidence(
     view_a_from_view_b : (3, 3) float64
         Metres to metres: that motion, or a `Refinement`'s.
     """
-    values_a, weight_a = a.normalised, _weight(a)
-    values_b, weight_b = b.normalised, _weight(b)
     b_from_a_pixel = invert(view_a_from_view_b) @ invert(a.pixel_from_metres)
     mapping = b.pixel_from_metres @ b_from_a_pixel
-    size = (values_a.shape[1], values_a.shape[0])
+    size = (a.weight.shape[1], a.weight.shape[0])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    moved = np.asarray(cv2.warpPerspective(values_b, mapping, size, flags=flags))
-    weight = np.asarray(cv2.warpPerspective(weight_b, mapping, size, flags=flags)) * weight_a
-    pixels = float(weight.sum())
-    seen = min(float(weight_a.sum()), float(weight_b.sum()))
+    moved = cv2.warpPerspective(b.normalised, mapping, size, flags=flags)
+    weight = cv2.multiply(cv2.warpPerspective(b.weight, mapping, size, flags=flags), a.weight)
+    pixels = _total(weight)
+    seen = float(min(cv2.countNonZero(a.inside), cv2.countNonZero(b.inside)))
     if pixels < _LEAST_PIXELS:
         return Candidate(a_from_b, 0.0, pixels / max(seen, 1.0), 0.0)
-    product = float(np.sum(weight * values_a * moved))
-    norm_a = float(np.sum(weight * values_a**2)) + _CONTRAST_PRIOR * pixels * _energy(
-        values_a, weight_a
-    )
-    norm_b = float(np.sum(weight * moved**2)) + _CONTRAST_PRIOR * pixels * _energy(
-        values_b, weight_b
-    )
+    weighted_a, weighted_b = cv2.multiply(weight, a.normalised), cv2.multiply(weight, moved)
+    product = _total(cv2.multiply(weighted_a, moved))
+    norm_a = _total(cv2.multiply(weighted_a, a.normalised)) + _CONTRAST_PRIOR * pixels * a.energy
+    norm_b = _total(cv2.multiply(weighted_b, moved)) + _CONTRAST_PRIOR * pixels * b.energy
     value = product / math.sqrt(norm_a * norm_b) if norm_a * norm_b > 0 else 0.0
     return Candidate(a_from_b, value, pixels / seen, float(_evidence(value, pixels)))
 
 
-def _weight(level: DenseLevel) -> NDArray[np.float32]:
-    weight: NDArray[np.float32] = (level.inside == 255).astype(np.float32)
-    return weight
-
-
-def _energy(values: NDArray[np.float32], weight: NDArray[np.float32]) -> float:
-    return float(np.sum(weight * values * values)) / max(float(weight.sum()), 1.0)
+def _total(values: cv2.typing.MatLike) -> float:
+    """Return the sum, in double precision: numpy's over floats is slower and less exact."""
+    return float(cv2.sumElems(values)[0])
 
 
 def _middle_of(weight: NDArray[np.float32]) -> tuple[float, float]:

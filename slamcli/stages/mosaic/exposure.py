@@ -202,7 +202,7 @@ def correct(
 
     Parameters
     ----------
-    brightening : (H, W) float32 or None
+    brightening : (H, W, 3) float32 or None
         From `brightening_image`; None when the lens is even.
     """
     if gain != 1.0:
@@ -214,21 +214,22 @@ def correct(
         image = np.asarray(cv2.LUT(image, table), np.uint8)
     if brightening is None:
         return image
-    factor = brightening if image.ndim == 2 else np.dstack([brightening] * 3)
+    factor = brightening[..., 0] if image.ndim == 2 else brightening
     return np.asarray(cv2.multiply(image, factor, dtype=cv2.CV_8U), np.uint8)
 
 
 def brightening_image(
     image_size: tuple[int, int], vignetting: tuple[float, float]
 ) -> NDArray[np.float32] | None:
-    """Return (H, W): what undoes the vignetting; None when there is none."""
+    """Return (H, W, 3): what undoes the vignetting, of each channel; None when there is none."""
     if vignetting == (0.0, 0.0):
         return None
     centre_x, centre_y = camera.image_centre(image_size)
     across = (np.arange(image_size[0]) - centre_x) ** 2
     down = (np.arange(image_size[1]) - centre_y) ** 2
     radius = (across[None, :] + down[:, None]) / (centre_x**2 + centre_y**2)
-    return np.exp(vignetting[0] * radius + vignetting[1] * radius**2).astype(np.float32)
+    factor = np.exp(vignetting[0] * radius + vignetting[1] * radius**2).astype(np.float32)
+    return np.asarray(cv2.merge([factor] * 3), np.float32)
 
 
 def _solve_weighted(

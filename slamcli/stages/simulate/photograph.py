@@ -30,6 +30,7 @@ _WALL_BGR = (150.0, 162.0, 170.0)
 _DEEPEST_LEVEL = 5
 _CEILING_METRES = 2.6
 _BLUR_POSES = 5
+_FINEST_METRES_PER_PIXEL, _COARSEST_METRES_PER_PIXEL = 0.00025, 0.001
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,6 +127,14 @@ def make_camera(options: CameraOptions) -> Calibration:
         roll_radians=roll,
         max_range_metres=camera.choose_max_range(matrix, image_from_robot, options.size),
     )
+
+
+def texture_metres_per_pixel(calibration: Calibration) -> float:
+    """Return how fine a floor is made: enough for the near edge, no finer than the camera's eye."""
+    nearest = camera.floor_sampling(calibration, camera.seen_floor(calibration))[:, 1].min()
+    finest = _FINEST_METRES_PER_PIXEL
+    fitting = float(finest * 2.0 ** round(math.log2(float(nearest) / finest)))
+    return min(max(fitting, finest), _COARSEST_METRES_PER_PIXEL)
 
 
 def tilted(

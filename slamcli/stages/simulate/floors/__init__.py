@@ -22,8 +22,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 BLOCK_PIXELS = 512
-# Enough for the floor around a robot; older blocks are made again when it comes back.
+# Enough for the floor before a robot; older blocks are made again when it comes back.
 _MOST_BLOCKS = 600
+# A camera sees far more floor from afar: of that the small levels, this one on, are kept for long.
+_COARSE_LEVEL, _MOST_COARSE_BLOCKS = 3, 12_000
 _LEVELS = 6
 
 
@@ -53,6 +55,7 @@ class BlockFloor:
         self._make_block = make_block
         self._lock = Lock()
         self._blocks: OrderedDict[tuple[int, int], list[NDArray[np.uint8]]] = OrderedDict()
+        self._coarse: OrderedDict[tuple[int, int], list[NDArray[np.uint8]]] = OrderedDict()
 
     def region(self, grid: Grid) -> NDArray[np.uint8]:
         """Return (h, w, 3) uint8 BGR of a grid whose resolution is 2^n times the floor's own."""
@@ -66,19 +69,28 @@ class BlockFloor:
                 y, x = row * side - top, column * side - left
                 rows = slice(max(0, y), min(grid.height, y + side))
                 columns = slice(max(0, x), min(grid.width, x + side))
-                block = self._block(column, row)[level]
+                block = self._block((column, row), level)
                 image[rows, columns] = block[
                     rows.start - y : rows.stop - y, columns.start - x : columns.stop - x
                 ]
         return image
 
-    def _block(self, column: int, row: int) -> list[NDArray[np.uint8]]:
-        """Return a block's pyramid, each level the plain mean of four pixels below."""
-        key = (column, row)
+    def _block(self, key: tuple[int, int], level: int) -> NDArray[np.uint8]:
+        """Return one level of the block at a (column, row)."""
+        first, kept = (_COARSE_LEVEL, self._coarse) if level >= _COARSE_LEVEL else (0, self._blocks)
         with self._lock:
-            if key in self._blocks:
-                self._blocks.move_to_end(key)
-                return self._blocks[key]
+            if key in kept:
+                kept.move_to_end(key)
+                return kept[key][level - first]
+        levels = self._pyramid(*key)
+        with self._lock:
+            if not first:
+                _keep(self._blocks, key, levels, _MOST_BLOCKS)
+            _keep(self._coarse, key, levels[_COARSE_LEVEL:], _MOST_COARSE_BLOCKS)
+        return levels[level]
+
+    def _pyramid(self, column: int, row: int) -> list[NDArray[np.uint8]]:
+        """Make a block: its levels, each the plain mean of four pixels below."""
         span = BLOCK_PIXELS * self.metres_per_pixel
         grid = Grid(column * span, -row * span, self.metres_per_pixel, BLOCK_PIXELS, BLOCK_PIXELS)
         levels = [self._make_block(grid)]
@@ -86,11 +98,18 @@ class BlockFloor:
             half = levels[-1].shape[0] // 2
             smaller = cv2.resize(levels[-1], (half, half), interpolation=cv2.INTER_AREA)
             levels.append(np.asarray(smaller, np.uint8))
-        with self._lock:
-            self._blocks[key] = levels
-            if len(self._blocks) > _MOST_BLOCKS:
-                self._blocks.popitem(last=False)
         return levels
+
+
+def _keep(
+    kept: OrderedDict[tuple[int, int], list[NDArray[np.uint8]]],
+    key: tuple[int, int],
+    levels: list[NDArray[np.uint8]],
+    most: int,
+) -> None:
+    kept[key] = levels
+    if len(kept) > most:
+        kept.popitem(last=False)
 
 
 def make_floor(kind: str, wear: float, metres_per_pixel: float, seed: int) -> BlockFloor:

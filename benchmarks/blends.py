@@ -1,0 +1,190 @@
+"""How near each blend comes to the true floor, with the true poses of a simulated drive.
+
+Run: python benchmarks/blends.py DRIVE [--floor NAME] [--things DRIVE] [--metres-per-pixel M].
+DRIVE is what `slam simulate` has written. Beside the blends stand the plain mean of pictures as
+they are, and `cv2.detail.MultiBandBlender`. --things is the same drive with --walkers or --boxes:
+of its frames that show any, so many take the place of the first's that 15 % of the views do.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from peers import COURSE_START, likeness
+
+from slamcli.core.config import PaintOptions
+from slamcli.core.geometry import Grid, Pose2
+from slamcli.core.records import Calibration, Frame, Shot
+from slamcli.io.calibrations import load_calibration
+from slamcli.io.frames import list_frames, read_frame
+from slamcli.painter import Painter
+from slamcli.stages import camera
+from slamcli.stages.mosaic import exposure, tiles
+from slamcli.stages.mosaic.blend import BLENDS
+from slamcli.stages.simulate import floors, photograph
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.stages.mosaic.exposure import Exposure
+
+THINGS_SHARE = 0.15
+# A frame shows something when so much of it differs by more than noise does.
+_DIFFERENT_GRAY, _LEAST_SHARE = 12, 0.002
+# Rays from afar see so little that they would drown what blends differ by.
+_LEAST_SHARPNESS_SHARE = 0.12
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A simulated drive in memory."""
+
+    calibration: Calibration
+    shots: list[Shot]
+    frames: list[Frame]
+
+
+def load(folder: Path) -> Drive:
+    """Read a drive."""
+    calibration = load_calibration(folder / "camera.yaml")
+    rows = list(csv.DictReader((folder / "truth.csv").open()))
+    poses = [Pose2(float(row["x"]), float(row["y"]), float(row["heading"])) for row in rows]
+    shots = [Shot(number, pose, calibration) for number, pose in enumerate(poses)]
+    return Drive(calibration, shots, [read_frame(file) for file in list_frames([folder])])
+
+
+def evened(drive: Drive, frames: list[Frame]) -> Exposure:
+    """Return the frames' gains and the lens's vignetting."""
+    hull = camera.footprint_hull(drive.calibration)
+    step = exposure.comparison_step(drive.calibration)
+    observed = []
+    for frame, shot in zip(frames, drive.shots, strict=True):
+        small = np.ascontiguousarray(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)[::4, ::4])
+        pose = shot.map_from_robot
+        observed.append(exposure.observe(small, drive.calibration, hull, pose, step))
+    return exposure.solve(observed)
+
+
+def paint(
+    drive: Drive,
+    frames: list[Frame],
+    options: PaintOptions,
+    light: Exposure | None,
+) -> tuple[Grid, NDArray[np.uint8], NDArray[np.float32]]:
+    """Return a map's grid, its picture and how sharply each pixel was seen."""
+    scale = options.metres_per_pixel
+    assert scale is not None
+    painter = Painter(drive.calibration, scale, options, light)
+    pictures = [painter.picture(frame, number) for number, frame in enumerate(frames)]
+    painted = {}
+    for key, numbers in painter.plan(drive.shots):
+        tile = painter.paint(key, drive.shots, numbers, pictures.__getitem__)
+        if tile is not None:
+            painted[key] = tile
+    grid = tiles.extent_of(painted, scale)
+    assert grid is not None
+    image = np.zeros((grid.height, grid.width, 3), np.uint8)
+    sharpness = np.zeros((grid.height, grid.width), np.float32)
+    for tile in painted.values():
+        top = round((grid.y_max - tile.grid.y_max) / scale)
+        left = round((tile.grid.x_min - grid.x_min) / scale)
+        part = slice(top, top + tile.grid.height), slice(left, left + tile.grid.width)
+        image[part], sharpness[part] = tile.image, tile.sharpness
+    return grid, image, sharpness
+
+
+def opencv(drive: Drive, frames: list[Frame], grid: Grid) -> NDArray[np.uint8]:
+    """Return the map as OpenCV's multi-band blender makes it."""
+    painter = Painter(drive.calibration, grid.metres_per_pixel)
+    blender = cv2.detail_MultiBandBlender()
+    blender.setNumBands(5)
+    blender.prepare((0, 0, grid.width, grid.height))
+    for frame, shot in zip(frames, drive.shots, strict=True):
+        part, seen = (
+            painter.extent([shot.map_from_robot]),
+            painter.patch(frame, shot.map_from_robot),
+        )
+        left = round((part.x_min - grid.x_min) / grid.metres_per_pixel)
+        top = round((grid.y_max - part.y_max) / grid.metres_per_pixel)
+        mask = np.where(seen.weight > 0, np.uint8(255), np.uint8(0))
+        blender.feed(seen.image.astype(np.int16), mask, (left, top))
+    blended, _ = blender.blend(None, None)
+    return np.clip(np.asarray(blended), 0, 255).astype(np.uint8)
+
+
+def true_floor(drive: Drive, name: str, grid: Grid) -> NDArray[np.uint8]:
+    """Return the floor under a map."""
+    start = COURSE_START if name == "course" else Pose2()
+    resolution = photograph.texture_metres_per_pixel(drive.calibration)
+    times = round(grid.metres_per_pixel / resolution)
+    fine = Grid(
+        grid.x_min + start.x,
+        grid.y_max + start.y,
+        resolution,
+        times * grid.width,
+        times * grid.height,
+    )
+    floor = floors.make_floor(name, 0.5, resolution, 0).region(fine)
+    size = (grid.width, grid.height)
+    return np.asarray(cv2.resize(floor, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def mixed(clean: list[Frame], things: list[Frame]) -> list[Frame]:
+    """Return frames of which a share shows things."""
+    around = np.ones((3, 3), np.uint8)
+    showing = []
+    for number, (plain, other) in enumerate(zip(clean, things, strict=True)):
+        differs = cv2.absdiff(plain.image, other.image).max(axis=2) > _DIFFERENT_GRAY
+        solid = cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_OPEN, around)
+        if solid.mean() > _LEAST_SHARE:
+            showing.append(number)
+    count = round(THINGS_SHARE * len(clean))
+    chosen = {showing[place * len(showing) // count] for place in range(min(count, len(showing)))}
+    print(f"{len(chosen)} of {len(clean)} frames show things")
+    return [things[n] if n in chosen else clean[n] for n in range(len(clean))]
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("drive", type=Path)
+    parser.add_argument("--floor", default="asphalt")
+    parser.add_argument("--things", type=Path)
+    parser.add_argument("--metres-per-pixel", type=float, default=0.001)
+    told = parser.parse_args()
+    drive, scale = load(told.drive), told.metres_per_pixel
+    frames = drive.frames
+    plain = PaintOptions(metres_per_pixel=scale, blend="mean", standing=False)
+    grid, image, sharpness = paint(drive, frames, plain, None)
+    inside = sharpness > _LEAST_SHARPNESS_SHARE * sharpness.max()
+    true = cv2.cvtColor(true_floor(drive, told.floor, grid), cv2.COLOR_BGR2GRAY).astype(np.float32)
+    print("| blend | PSNR dB | SSIM | sharpness |\n|---|---|---|---|")
+
+    def tell(name: str, picture: NDArray[np.uint8]) -> None:
+        gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
+        psnr, alike, sharp = likeness(gray, true, inside)
+        print(f"| {name} | {psnr:.1f} | {alike:.3f} | {sharp:.2f} |", flush=True)
+
+    light = evened(drive, frames)
+    for blend in BLENDS:
+        options = PaintOptions(metres_per_pixel=scale, blend=blend)  # type: ignore[arg-type]
+        tell(blend, paint(drive, frames, options, light)[1])
+    tell("plain mean, exposure as it is", image)
+    tell("cv2.detail.MultiBandBlender", opencv(drive, frames, grid))
+    if told.things is not None:
+        some = mixed(frames, load(told.things).frames)
+        light = evened(drive, some)
+        for standing in (True, False):
+            options = PaintOptions(metres_per_pixel=scale, standing=standing)
+            word = "kept out" if standing else "not kept out"
+            tell(f"best, things {word}", paint(drive, some, options, light)[1])
+
+
+if __name__ == "__main__":
+    main()
