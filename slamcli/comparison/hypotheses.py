@@ -31,17 +31,13 @@ _EQUAL_SHARE = 0.95
 # the rocking is believed when it leaves less than this share unexplained. On a floor of a few lines
 # a line's end may be brought to fit by a tilt as well as by the motion.
 _STEADY_CORRELATION = 0.95
-# What the pixels refined lies several times nearer to the truth than what it started at, while
-# either leaves the same unexplained, to so small a share.
-_REFINED_SHARE = 1.05
 _CONTRAST_HANDICAP = 0.0475
 _ROCKING_SHARE = 0.6
-# Where the pixels of the motion without it ask for more tilt, one is believed that leaves less.
-_ASKED_ROCKING_SHARE = 1.0
 # A robot may rock so much more than its tilt sigma says, where the pixels ask for it.
 _ROCKING_TIMES = 5.0
 # Of the patches that tell.
 MOSTLY = 0.5
+_MOST_STRAY_PIXELS, _MOST_STRAY_RADIANS = 2.0, math.radians(0.5)
 _OPEN_SIGMAS = 4.0
 # Of the patches, for a motion; so many times those for its rival. Two wrong motions on a worn floor
 # each have about as many for them; on one whose tiles are all alike noise speaks for a tenth.
@@ -116,7 +112,7 @@ def _follow_up(
     for peak in found.candidates:
         if peak.evidence < _LEAST_SHARE_OF_BEST * found.candidates[0].evidence:
             continue
-        refined = dense.refine(coarse_a, coarse_b, peak.a_from_b, calibration, tilt)
+        refined = dense.refine(coarse_a, coarse_b, peak.a_from_b, calibration, tilt, searched=True)
         pose, shown = peak.a_from_b, peak.a_from_b.matrix
         if refined is not None:
             pose, shown = refined.a_from_b, refined.view_a_from_view_b
@@ -139,34 +135,42 @@ def polish(
     if not options.refine and covariance is not None:
         return start
     levels_a, levels_b = pair.a, pair.b
+    crowded = False
     if covariance is not None:
         # Features come within a pixel of the finest levels; a search's finds start at the coarsest.
         levels_a, levels_b = pair.a[:2], pair.b[:2]
-        if start.agreed.confirmed < MOSTLY:
+        crowded = start.agreed.confirmed < MOSTLY
+        if crowded:
             # Most of what is seen stands or walks, and would pull the motion to its own.
             levels_a = dense.agreeing(levels_a, levels_b[0], start.view_a_from_view_b)
-    best, rocks = start, False
+    best = start
     steady = math.radians(options.tilt_sigma_degrees)
     # Among bare lines, where no features are, a large tilt passes for a turn. What lies far off
     # shifts by much for a little tilt, and is never compared without.
     tilts = (0.0, steady) if covariance is None else (0.0, steady, _ROCKING_TIMES * steady)
     for tilt in tilts[1:] if pair.far else tilts:
-        if tilt > 0.0 and best.covariance is not None and _steady(best) and not rocks:
+        if tilt > 0.0 and best.covariance is not None and _steady(best):
             break
         # Each from where the features or the search led: without the rocking that there is, the
         # refinement may have gone astray.
-        refined = dense.refine(levels_a, levels_b, pose, calibration, tilt)
-        if refined is None:
+        refined = dense.refine(
+            levels_a, levels_b, pose, calibration, tilt, searched=covariance is None
+        )
+        if refined is None or (crowded and _strayed(pose, refined.a_from_b, pair)):
             continue
         fit = judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
-        share = _REFINED_SHARE
-        if tilt > 0.0:
-            share = _ASKED_ROCKING_SHARE if rocks else _ROCKING_SHARE
         if best.covariance is None or (
-            _better(fit, best, share) and _holds(fit, best, calibration, options)
+            _better(fit, best, rocking=tilt > 0.0) and _holds(fit, best, calibration, options)
         ):
-            best, rocks = fit, refined.rocks
+            best = fit
     return best
+
+
+def _strayed(start: Pose2, pose: Pose2, pair: Pair) -> bool:
+    """Return whether what stands or walks pulled a motion away from what features say."""
+    moved = start.inverse() @ pose
+    most = _MOST_STRAY_PIXELS * pair.a[0].metres_per_pixel
+    return moved.translation_length > most or abs(moved.theta) > _MOST_STRAY_RADIANS
 
 
 def _holds(
@@ -290,9 +294,11 @@ def same(first: Pose2, second: Pose2, pair: Pair) -> bool:
     return apart.translation_length < near and abs(wrap_angle(apart.theta)) < _SAME_RADIANS
 
 
-def _better(fit: Hypothesis, other: Hypothesis, share: float) -> bool:
-    """Return whether a refined fit leaves less than a share of what another leaves unexplained."""
-    return 1.0 - fit.correlation < share * (1.0 - other.correlation)
+def _better(fit: Hypothesis, other: Hypothesis, *, rocking: bool) -> bool:
+    """Return whether a refined fit agrees better; one that bends the floor must do so by far."""
+    if not rocking:
+        return fit.evidence > other.evidence
+    return 1.0 - fit.correlation < _ROCKING_SHARE * (1.0 - other.correlation)
 
 
 def _surer(fit: Hypothesis, other: Hypothesis) -> bool:

@@ -41,21 +41,18 @@ _CHANCE_SIGMAS = 2.0
 # The stairs of a line's edge in the camera's pixels, and the blocks of a JPEG, move with the camera
 # and not with the floor: such a share of an edge's gradient along it tells nothing.
 _STAIRS = 0.01
-# Neighbouring residuals are not independent: halving, blur and interpolation tie about this many
-# together.
-_CORRELATED_PIXELS = 5.0
-# What all residuals share and none shows: the bias of interpolating, and of the noise in gradients.
-_SYSTEMATIC_PIXELS = 0.003
-# Whatever a camera was taken to do, it may rock by so much: one sigma, radians.
-_ROCKING_RADIANS = math.radians(0.5)
-# The pixels of a camera that does not rock ask for a tilt by less than so many times what chance
-# does.
-_ROCKS_TIMES = 3.0
+# Neighbouring residuals are not independent: interpolation and blur tie about this many together.
+_CORRELATED_PIXELS = 24.0
+_SYSTEMATIC_PIXELS = 0.02
 _REMAP_COLUMNS = 256
 # A robot that rocks by a radian bounces by so many times its camera's height.
 _HEIGHT_SHARE_PER_RADIAN = 3.0
-# A refinement that runs away from the fit that it started at has found something else.
+# A refinement that runs away from the fit that it started at, by so many pixels of the coarsest
+# level, has found something else. From a search, whose rotations are steps apart, a motion may
+# shift by such a share of what is seen, and turn by no more than half a step.
 _MOST_SHIFT_PIXELS = 6.0
+_MOST_SHIFT_SHARE = 0.12
+_MOST_TURN_RADIANS = math.radians(2.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,15 +67,11 @@ class Refinement:
     view_a_from_view_b : (3, 3) float64
         Metres to metres, as the views show the floor: the motion, and what each frame's tilt and
         height differ by from the calibration's.
-    rocks : bool
-        Whether the pixels ask for more tilt than was allowed for; the covariance holds what the
-        motion misses by that.
     """
 
     a_from_b: Pose2
     covariance: NDArray[np.float64]
     view_a_from_view_b: NDArray[np.float64]
-    rocks: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,6 +96,8 @@ def refine(
     calibration: Calibration,
     tilt_sigma_radians: float,
     known: Known | None = None,
+    *,
+    searched: bool = False,
 ) -> Refinement | None:
     """Refine a motion on the pixels of two views; None when they do not determine it.
 
@@ -116,6 +111,8 @@ def refine(
         By how much the camera's pitch and roll vary from frame to frame.
     known : Known or None
         Weighed with what the pixels say.
+    searched : bool
+        Whether the start is a peak of a `search`, which may lie farther from the truth.
     """
     sigmas = _mounting_sigmas(calibration, tilt_sigma_radians)
     state = _State(a_from_b, np.zeros(len(sigmas)), np.zeros(len(sigmas)))
@@ -132,25 +129,36 @@ def refine(
             if solved is None:
                 return None
             state = solved.state
-    moved = (a_from_b.inverse() @ state.a_from_b).translation_length
-    if solved is None or moved > _MOST_SHIFT_PIXELS * levels_a[-1].metres_per_pixel:
+    if solved is None or _ran_away(
+        a_from_b.inverse() @ state.a_from_b, levels_a, searched=searched
+    ):
         return None
     covariance = _covariance(levels_b[0], solved)
     if covariance is None:
         return None
-    left_out = _left_out(levels_a[0], levels_b[0], state, calibration)
-    covariance = covariance + _systematic(levels_a[0]) + left_out
+    covariance = covariance + _systematic(levels_a[0])
     shown_a = _shown_from_floor(calibration, state.mounting_a)
     shown_b = _shown_from_floor(calibration, state.mounting_b)
-    shown = shown_a @ state.a_from_b.matrix @ invert(shown_b)
-    return Refinement(state.a_from_b, covariance, shown, rocks=bool(left_out.any()))
+    return Refinement(state.a_from_b, covariance, shown_a @ state.a_from_b.matrix @ invert(shown_b))
+
+
+def _ran_away(moved: Pose2, levels_a: Sequence[DenseLevel], *, searched: bool) -> bool:
+    most = _MOST_SHIFT_PIXELS * levels_a[-1].metres_per_pixel
+    if not searched:
+        return moved.translation_length > most
+    most = max(most, _MOST_SHIFT_SHARE * _reach(levels_a[0]))
+    return moved.translation_length > most or abs(moved.theta) > _MOST_TURN_RADIANS
 
 
 def _systematic(finest: DenseLevel) -> NDArray[np.float64]:
     """Return the (3, 3) covariance of what no residual shows: interpolation, blur, smear."""
     sigma = _SYSTEMATIC_PIXELS * finest.metres_per_pixel
-    reach = float(np.hypot(*np.ptp(finest.points, axis=0))) / 2.0
-    return np.diag([sigma**2, sigma**2, (sigma / reach) ** 2])
+    return np.diag([sigma**2, sigma**2, (sigma / _reach(finest)) ** 2])
+
+
+def _reach(level: DenseLevel) -> float:
+    """Return half of how far what a level shows is spread, metres."""
+    return float(np.hypot(*np.ptp(level.points, axis=0))) / 2.0
 
 
 def _sampled(level: DenseLevel) -> DenseLevel:
@@ -171,6 +179,29 @@ class _State:
     a_from_b: Pose2
     mounting_a: NDArray[np.float64]
     mounting_b: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
+    """The last step on a level, and what it was made from.
+
+    Attributes
+    ----------
+    state : _State
+    jacobian : (N, K) float64
+    pixels, points : (N, 2) float64
+        In b's level and on its floor.
+    weight : (N,) float64
+        Of each residual, by what is left over.
+    prior : (K, K) float64
+    """
+
+    state: _State
+    jacobian: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+    points: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    prior: NDArray[np.float64]
 
 
 def _mounting_sigmas(calibration: Calibration, tilt_sigma_radians: float) -> NDArray[np.float64]:
@@ -226,12 +257,30 @@ def _refine_level(
     if known is not None:
         prior[:3, :3] = invert(known.covariance)
     for _ in range(_MOST_ITERATIONS):
-        line = _linearise(a, b, state, calibration, sigmas, shifts_a)
-        if line is None:
+        floor_a = apply_homography(
+            invert(_shown_from_floor(calibration, state.mounting_a)), a.points
+        )
+        floor_b = state.a_from_b.inverse().apply(floor_a)
+        shown_b = apply_homography(_shown_from_floor(calibration, state.mounting_b), floor_b)
+        pixels_b = apply_homography(b.pixel_from_metres, shown_b)
+        seen = _sample(b.inside, pixels_b) > 254.5
+        if np.count_nonzero(seen) < _LEAST_TEMPLATE_PIXELS:
             return None
+        points, pixels, values = floor_b[seen], pixels_b[seen], a.values[seen]
+        gradients = a.gradients[seen] @ state.a_from_b.matrix[:2, :2]
+        jacobian = np.empty((len(points), 5 + 2 * count))
+        jacobian[:, :2] = -gradients
+        jacobian[:, 2] = gradients[:, 0] * points[:, 1] - gradients[:, 1] * points[:, 0]
+        jacobian[:, 3] = values
+        jacobian[:, 4] = 1.0
+        if count:
+            shifts_b = _shifts(calibration, points, sigmas)
+            jacobian[:, 5 : 5 + count] = -np.einsum("ni,nik->nk", a.gradients[seen], shifts_a[seen])
+            jacobian[:, 5 + count :] = np.einsum("ni,nik->nk", gradients, shifts_b)
+        residual = _sample(b.detail, pixels) - values
         off = _off_prior(state, sigmas, known)
-        least = _LEAST_NOISE_SHARE * line.contrast
-        solved = _solve(line.jacobian, line.residual, prior, off, least)
+        contrast = float(values.std())
+        solved = _solve(jacobian, residual, prior, off, _LEAST_NOISE_SHARE * contrast)
         if solved is None:
             return None
         step, weight = solved
@@ -240,99 +289,16 @@ def _refine_level(
             state.mounting_a + step[5 : 5 + count] * sigmas,
             state.mounting_b + step[5 + count :] * sigmas,
         )
-        reach = float(np.abs(line.points).max())
+        reach = float(np.abs(points).max())
         moved = math.hypot(step[0], step[1]) + abs(step[2]) * reach
         if moved < _CONVERGED_PIXELS * b.metres_per_pixel:
             break
-    assert line is not None
-    return _Solved(state, line, _weights(line, weight), prior)
-
-
-def _weights(line: _Linearised, weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weight (N,) of each residual by what is left over, from the solver's robust ones.
-
-    What is left over tells how well a motion is known; the solver's least noise is for outliers.
-    """
+    # What is left over tells how well the motion is known; the least noise is for outliers alone.
     share = weight / weight.max()
-    left = math.sqrt(float(np.sum(share * line.residual**2) / np.sum(share)))
-    noise = max(left, _LEAST_LEFT_SHARE * line.contrast, 1e-6)
-    return np.asarray(share / (noise**2 * _CORRELATED_PIXELS))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Linearised:
-    """Two levels' difference about a state.
-
-    Attributes
-    ----------
-    points : (N, 2) float64
-        Of the floor, in b's frame, metres.
-    pixels : (N, 2) float64
-        Where b shows them.
-    residual : (N,) float64
-    jacobian : (N, 5 + 2 n) float64
-        By the motion, gain, offset, and either frame's mounting in sigmas.
-    contrast : float
-        One standard deviation of the template.
-    """
-
-    points: NDArray[np.float64]
-    pixels: NDArray[np.float64]
-    residual: NDArray[np.float64]
-    jacobian: NDArray[np.float64]
-    contrast: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solved:
-    """The last step on a level, and what it was made from.
-
-    Attributes
-    ----------
-    state : _State
-    line : _Linearised
-    weight : (N,) float64
-        Of each residual, by what is left over.
-    prior : (K, K) float64
-        Information of what is known beforehand.
-    """
-
-    state: _State
-    line: _Linearised
-    weight: NDArray[np.float64]
-    prior: NDArray[np.float64]
-
-
-def _linearise(
-    a: DenseLevel,
-    b: DenseLevel,
-    state: _State,
-    calibration: Calibration,
-    sigmas: NDArray[np.float64],
-    shifts_a: NDArray[np.float64],
-) -> _Linearised | None:
-    """Return the difference at a state; None when too little of it is seen."""
-    count = len(sigmas)
-    floor_a = apply_homography(invert(_shown_from_floor(calibration, state.mounting_a)), a.points)
-    floor_b = state.a_from_b.inverse().apply(floor_a)
-    shown_b = apply_homography(_shown_from_floor(calibration, state.mounting_b), floor_b)
-    pixels_b = apply_homography(b.pixel_from_metres, shown_b)
-    seen = _sample(b.inside, pixels_b) > 254.5
-    if np.count_nonzero(seen) < _LEAST_TEMPLATE_PIXELS:
-        return None
-    points, pixels, values = floor_b[seen], pixels_b[seen], a.values[seen]
-    gradients = a.gradients[seen] @ state.a_from_b.matrix[:2, :2]
-    jacobian = np.empty((len(points), 5 + 2 * count))
-    jacobian[:, :2] = -gradients
-    jacobian[:, 2] = gradients[:, 0] * points[:, 1] - gradients[:, 1] * points[:, 0]
-    jacobian[:, 3] = values
-    jacobian[:, 4] = 1.0
-    if count:
-        shifts_b = _shifts(calibration, points, sigmas)
-        jacobian[:, 5 : 5 + count] = -np.einsum("ni,nik->nk", a.gradients[seen], shifts_a[seen])
-        jacobian[:, 5 + count :] = np.einsum("ni,nik->nk", gradients, shifts_b)
-    residual = _sample(b.detail, pixels) - values
-    return _Linearised(points, pixels, residual, jacobian, float(values.std()))
+    left = math.sqrt(float(np.sum(share * residual**2) / np.sum(share)))
+    noise = max(left, _LEAST_LEFT_SHARE * contrast, 1e-6)
+    weight = share / (noise**2 * _CORRELATED_PIXELS)
+    return _Solved(state, jacobian, pixels, points, weight, prior)
 
 
 def _off_prior(
@@ -348,64 +314,20 @@ def _off_prior(
     return off
 
 
-def _left_out(
-    a: DenseLevel, b: DenseLevel, state: _State, calibration: Calibration
-) -> NDArray[np.float64]:
-    """Return the (3, 3) covariance of what a camera that rocks more than was allowed for leaves.
-
-    How far the motion would go if both frames were free to tilt, where the pixels ask for that by
-    more than chance does (the positive part of a James-Stein shrinkage). A spot is blurred more
-    from afar than from near, which passes for the change of scale that a tilt makes: the blur is
-    free too.
-    """
-    nothing = np.zeros((3, 3))
-    if not math.isfinite(calibration.height_metres):
-        return nothing
-    sigmas = _mounting_sigmas(calibration, _ROCKING_RADIANS)
-    if not len(state.mounting_a):
-        state = replace(state, mounting_a=np.zeros(3), mounting_b=np.zeros(3))
-    line = _linearise(a, b, state, calibration, sigmas, _shifts(calibration, a.points, sigmas))
-    if line is None:
-        return nothing
-    weight = _weights(line, _robust(line.residual, _LEAST_NOISE_SHARE * line.contrast))
-    free = np.hstack([line.jacobian[:, :5], _blur(b, line)])
-    tilts = line.jacobian[:, 5:]
-    weighted = free * weight[:, None]
-    # What motion, gain and blur can explain of a tilt's change of the pixels, and of what is left.
-    told, missed = np.hsplit(
-        np.linalg.lstsq(weighted.T @ free, weighted.T @ np.column_stack([tilts, line.residual]))[0],
-        [tilts.shape[1]],
-    )
-    own = tilts - free @ told
-    own_weighted = own * weight[:, None]
-    information = own_weighted.T @ own
-    off = _off_prior(state, sigmas, None)[5:]
-    pull = own_weighted.T @ line.residual + off
-    least = information + np.eye(len(information))
-    tilt = -np.linalg.solve(least, pull)
-    gained, expected = float(-pull @ tilt), float(np.trace(np.linalg.solve(least, information)))
-    if gained <= _ROCKS_TIMES * expected:
-        return nothing
-    step = -(missed[:3, 0] + told[:3] @ tilt)
-    return np.asarray((1.0 - expected / gained) * np.outer(step, step))
-
-
-def _blur(b: DenseLevel, line: _Linearised) -> NDArray[np.float64]:
-    """Return (N, 2): by how much a pixel changes as a view is blurred, all over and the farther."""
-    curved = _sample(np.asarray(cv2.Laplacian(b.detail, cv2.CV_32F), np.float32), line.pixels)
-    return np.column_stack([curved, curved * line.points[:, 0]])
-
-
 def _covariance(b: DenseLevel, solved: _Solved) -> NDArray[np.float64] | None:
     """Return the covariance (3, 3) of the motion, from what both views show of the gradients.
 
     The noise of one view has gradients too, which would pass for knowledge of a motion along a
     plain line; the product with the other view's, whose noise is another, has none on average.
     """
-    line, weight = solved.line, solved.weight
-    points, jacobian = line.points, line.jacobian
+    jacobian, pixels, points, weight = (
+        solved.jacobian,
+        solved.pixels,
+        solved.points,
+        solved.weight,
+    )
     right, up = levels.slopes(b.detail, b.metres_per_pixel)
-    other = np.column_stack([_sample(right, line.pixels), _sample(up, line.pixels)])
+    other = np.column_stack([_sample(right, pixels), _sample(up, pixels)])
     both = jacobian.copy()
     both[:, :2] = -other
     both[:, 2] = other[:, 0] * points[:, 1] - other[:, 1] * points[:, 0]
@@ -454,7 +376,10 @@ def _solve(
     least_noise : float
         Of a residual, one standard deviation.
     """
-    weight = _robust(residual, least_noise)
+    spread = 1.4826 * _median(np.abs(residual - _median(residual)))
+    noise = max(spread, least_noise, 1e-6)
+    weight = np.minimum(1.0, _HUBER_SIGMAS * noise / np.maximum(np.abs(residual), 1e-12))
+    weight /= noise**2 * _CORRELATED_PIXELS
     weighted = jacobian * weight[:, None]
     information = jacobian.T @ weighted + prior
     try:
@@ -466,12 +391,12 @@ def _solve(
     return np.asarray(step, np.float64), weight
 
 
-def _robust(residual: NDArray[np.float64], least_noise: float) -> NDArray[np.float64]:
-    """Return Huber's weight (N,) of each residual."""
-    spread = 1.4826 * _median(np.abs(residual - _median(residual)))
-    noise = max(spread, least_noise, 1e-6)
-    weight = np.minimum(1.0, _HUBER_SIGMAS * noise / np.maximum(np.abs(residual), 1e-12))
-    return np.asarray(weight / (noise**2 * _CORRELATED_PIXELS))
+def _median(values: NDArray[np.float64]) -> float:
+    """Return numpy's median, without its search for what is not a number."""
+    middle = len(values) // 2
+    if len(values) % 2:
+        return float(np.partition(values, middle)[middle])
+    return float(np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1].mean())
 
 
 def _sample(
@@ -485,11 +410,3 @@ def _sample(
     columns_map, rows_map = folded.reshape(2, rows, _REMAP_COLUMNS)
     sampled = cv2.remap(image, columns_map, rows_map, cv2.INTER_LINEAR)
     return np.asarray(sampled, dtype=np.float64).ravel()[:count]
-
-
-def _median(values: NDArray[np.float64]) -> float:
-    """Return numpy's median, without its search for what is not a number."""
-    middle = len(values) // 2
-    if len(values) % 2:
-        return float(np.partition(values, middle)[middle])
-    return float(np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1].mean())
