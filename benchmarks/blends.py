@@ -1,9 +1,10 @@
 """How near each blend comes to the true floor, with the true poses of a simulated drive.
 
-Run: python benchmarks/blends.py DRIVE [--floor NAME] [--things DRIVE] [--metres-per-pixel M].
-DRIVE is what `slam simulate` has written. Beside the blends stand the plain mean of pictures as
-they are, and `cv2.detail.MultiBandBlender`. --things is the same drive with --walkers or --boxes:
-of its frames that show any, so many take the place of the first's that 15 % of the views do.
+Run: python benchmarks/blends.py DRIVE [--floor NAME] [--metres-per-pixel M] [--things DRIVE
+[--only-things]]. DRIVE is what `slam simulate` has written. Beside the blends stand the plain mean
+of pictures as they are, and `cv2.detail.MultiBandBlender`. --things is the same drive with
+--walkers or --boxes: of its frames that show any, so many take the place of the first's that 15 %
+of the views do.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ THINGS_SHARE = 0.15
 _DIFFERENT_GRAY, _LEAST_SHARE = 12, 0.002
 # Rays from afar see so little that they would drown what blends differ by.
 _LEAST_SHARPNESS_SHARE = 0.12
+_ENOUGH_VIEWS = 3
 
 
 @dataclass(frozen=True)
@@ -76,8 +78,8 @@ def paint(
     frames: list[Frame],
     options: PaintOptions,
     light: Exposure | None,
-) -> tuple[Grid, NDArray[np.uint8], NDArray[np.float32]]:
-    """Return a map's grid, its picture and how sharply each pixel was seen."""
+) -> tuple[Grid, NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint16]]:
+    """Return a map's grid, its picture, how sharply and by how many views each pixel was seen."""
     scale = options.metres_per_pixel
     assert scale is not None
     painter = Painter(drive.calibration, scale, options, light)
@@ -91,12 +93,13 @@ def paint(
     assert grid is not None
     image = np.zeros((grid.height, grid.width, 3), np.uint8)
     sharpness = np.zeros((grid.height, grid.width), np.float32)
+    views = np.zeros(sharpness.shape, np.uint16)
     for tile in painted.values():
         top = round((grid.y_max - tile.grid.y_max) / scale)
         left = round((tile.grid.x_min - grid.x_min) / scale)
         part = slice(top, top + tile.grid.height), slice(left, left + tile.grid.width)
-        image[part], sharpness[part] = tile.image, tile.sharpness
-    return grid, image, sharpness
+        image[part], sharpness[part], views[part] = tile.image, tile.sharpness, tile.views
+    return grid, image, sharpness, views
 
 
 def opencv(drive: Drive, frames: list[Frame], grid: Grid) -> NDArray[np.uint8]:
@@ -156,34 +159,43 @@ def main() -> None:
     parser.add_argument("drive", type=Path)
     parser.add_argument("--floor", default="asphalt")
     parser.add_argument("--things", type=Path)
+    parser.add_argument("--only-things", action="store_true")
     parser.add_argument("--metres-per-pixel", type=float, default=0.001)
     told = parser.parse_args()
     drive, scale = load(told.drive), told.metres_per_pixel
     frames = drive.frames
     plain = PaintOptions(metres_per_pixel=scale, blend="mean", standing=False)
-    grid, image, sharpness = paint(drive, frames, plain, None)
+    grid, image, sharpness, views = paint(drive, frames, plain, None)
     inside = sharpness > _LEAST_SHARPNESS_SHARE * sharpness.max()
     true = cv2.cvtColor(true_floor(drive, told.floor, grid), cv2.COLOR_BGR2GRAY).astype(np.float32)
     print("| blend | PSNR dB | SSIM | sharpness |\n|---|---|---|---|")
 
-    def tell(name: str, picture: NDArray[np.uint8]) -> None:
+    def tell(name: str, picture: NDArray[np.uint8], inside: NDArray[np.bool_] = inside) -> None:
         gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
         psnr, alike, sharp = likeness(gray, true, inside)
         print(f"| {name} | {psnr:.1f} | {alike:.3f} | {sharp:.2f} |", flush=True)
 
     light = evened(drive, frames)
-    for blend in BLENDS:
+    for blend in () if told.only_things else BLENDS:
         options = PaintOptions(metres_per_pixel=scale, blend=blend)  # type: ignore[arg-type]
         tell(blend, paint(drive, frames, options, light)[1])
-    tell("plain mean, exposure as it is", image)
-    tell("cv2.detail.MultiBandBlender", opencv(drive, frames, grid))
+    if not told.only_things:
+        tell("plain mean, exposure as it is", image)
+        tell("cv2.detail.MultiBandBlender", opencv(drive, frames, grid))
     if told.things is not None:
         some = mixed(frames, load(told.things).frames)
-        light = evened(drive, some)
+        others = evened(drive, some)
+        # What one or two views alone see, at the rim, cannot be told from the floor by any other.
+        well = inside & (views >= _ENOUGH_VIEWS)
+        print(f"{well.sum() / inside.sum():.0%} of the map is seen by {_ENOUGH_VIEWS} or more")
+        best = PaintOptions(metres_per_pixel=scale)
+        tell("best, no things, where so many see", paint(drive, frames, best, light)[1], well)
         for standing in (True, False):
             options = PaintOptions(metres_per_pixel=scale, standing=standing)
             word = "kept out" if standing else "not kept out"
-            tell(f"best, things {word}", paint(drive, some, options, light)[1])
+            picture = paint(drive, some, options, others)[1]
+            tell(f"best, things {word}", picture)
+            tell(f"best, things {word}, where so many see", picture, well)
 
 
 if __name__ == "__main__":

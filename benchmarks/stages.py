@@ -1,7 +1,8 @@
 """What one 1080p frame costs, stage by stage, beside the OpenCV kernels it is made of.
 
-Run: python benchmarks/stages.py [--frames N] [--drive FOLDER] [--whole N]. Every figure is a median
-over the frames of one run on one thread; compare ratios, not milliseconds, between machines.
+Run: python benchmarks/stages.py [--frames N] [--drive FOLDER] [--whole N] [--metres-per-pixel M].
+Every figure is a median over the frames of one run on one thread; compare ratios, not milliseconds,
+between machines.
 
 With --whole N, `slam stitch` then maps N frames (a drive's own, forwards and backwards in turn) on
 all processors, and its wall time is held against what its kernels alone take there, from the table:
@@ -124,8 +125,8 @@ class Row:
         return self.a_frame * (self.milliseconds if math.isnan(bare) else bare)
 
 
-def measure(calibration: Calibration, files: list[FrameFile]) -> list[Row]:
-    """Return each stage's cost."""
+def measure(calibration: Calibration, files: list[FrameFile], scale: float) -> list[Row]:
+    """Return each stage's cost, the map at so many metres a pixel."""
     cv2.setNumThreads(1)
     count = len(files)
     data = [np.frombuffer(file.path.read_bytes(), np.uint8) for file in files]
@@ -180,7 +181,7 @@ def measure(calibration: Calibration, files: list[FrameFile]) -> list[Row]:
         count - 1,
     )
 
-    painter = Painter(calibration, camera.default_metres_per_pixel(calibration))
+    painter = Painter(calibration, scale)
     paint = median_milliseconds(lambda i: painter.patch(frames[i], track[i]), count)
     grids = [painter.extent([track[i]]) for i in range(count)]
     patch_size = (grids[0].width, grids[0].height)
@@ -235,14 +236,17 @@ def encode_png(picture: NDArray[np.uint8]) -> None:
     cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 3])
 
 
-def whole(drive: Path, camera_file: Path, count: int, work: Path) -> tuple[float, float]:
+def whole(
+    drive: Path, camera_file: Path, count: int, scale: float, work: Path
+) -> tuple[float, float]:
     """Map so many frames of a drive; return wall and processor seconds."""
     frames = work / "repeated"
     frames.mkdir()
     repeat(drive, count, frames)
     command = [sys.executable, "-m", "slamcli", "stitch", str(frames), "-c", str(camera_file)]
     before, started = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run([*command, "-o", str(work / "map")], check=True, capture_output=True)
+    command += ["--metres-per-pixel", str(scale), "-o", str(work / "map")]
+    subprocess.run(command, check=True, capture_output=True)
     wall, after = time.perf_counter() - started, resource.getrusage(resource.RUSAGE_CHILDREN)
     used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return wall, used
@@ -254,6 +258,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=20)
     parser.add_argument("--drive", type=Path, help="of slam simulate; default: made here")
     parser.add_argument("--whole", type=int, default=0)
+    parser.add_argument("--metres-per-pixel", type=float, help="of the map")
     told = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         work = drive = Path(name)
@@ -265,7 +270,8 @@ def main() -> None:
             (drive / "frames").mkdir()
             make_frames(calibration, told.frames, drive / "frames")
             save_calibration(drive / "camera.yaml", calibration)
-        rows = measure(calibration, list_frames([drive / "frames"])[: told.frames])
+        scale = told.metres_per_pixel or camera.default_metres_per_pixel(calibration)
+        rows = measure(calibration, list_frames([drive / "frames"])[: told.frames], scale)
         print(
             f"{platform.processor() or platform.machine()}, Python {platform.python_version()}, "
             f"OpenCV {cv2.__version__}, one thread, 1920x1080"
@@ -279,7 +285,7 @@ def main() -> None:
         print(f"{'sum for a frame':<24}{sum(r.a_frame * r.milliseconds for r in rows):8.1f}")
         print(f"{'kernels for a frame':<24}{kernels:8.1f}")
         if told.whole:
-            wall, used = whole(drive, drive / "camera.yaml", told.whole, work)
+            wall, used = whole(drive, drive / "camera.yaml", told.whole, scale, work)
             least = 1e-3 * kernels * told.whole / default_workers()
             print(
                 f"{told.whole} frames: wall {wall:.1f} s, {wall / least:.2f} times the kernels on "
