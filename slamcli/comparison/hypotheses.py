@@ -156,9 +156,12 @@ def polish(
         refined = dense.refine(
             levels_a, levels_b, pose, calibration, tilt, searched=covariance is None
         )
-        if refined is None or (crowded and _strayed(pose, refined.a_from_b, pair)):
+        if refined is None:
             continue
         fit = judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
+        # A camera that rocks makes most of the floor disagree too, until it is allowed for.
+        if crowded and fit.agreed.confirmed < MOSTLY and _strayed(pose, fit.pose, pair):
+            continue
         if best.covariance is None or (
             _better(fit, best, rocking=tilt > 0.0) and _holds(fit, best, calibration, options)
         ):

@@ -48,8 +48,8 @@ _REMAP_COLUMNS = 256
 # A robot that rocks by a radian bounces by so many times its camera's height.
 _HEIGHT_SHARE_PER_RADIAN = 3.0
 # A refinement that runs away from the fit that it started at, by so many pixels of the coarsest
-# level, has found something else. From a search, whose rotations are steps apart, a motion may
-# shift by such a share of what is seen, and turn by no more than half a step.
+# level, has found something else. From a search, whose rotations are steps apart, a motion that
+# turns by no more than half a step may shift by such a share of what is seen.
 _MOST_SHIFT_PIXELS = 6.0
 _MOST_SHIFT_SHARE = 0.12
 _MOST_TURN_RADIANS = math.radians(2.0)
@@ -144,10 +144,9 @@ def refine(
 
 def _ran_away(moved: Pose2, levels_a: Sequence[DenseLevel], *, searched: bool) -> bool:
     most = _MOST_SHIFT_PIXELS * levels_a[-1].metres_per_pixel
-    if not searched:
-        return moved.translation_length > most
-    most = max(most, _MOST_SHIFT_SHARE * _reach(levels_a[0]))
-    return moved.translation_length > most or abs(moved.theta) > _MOST_TURN_RADIANS
+    if searched and abs(moved.theta) <= _MOST_TURN_RADIANS:
+        most = max(most, _MOST_SHIFT_SHARE * _reach(levels_a[0]))
+    return moved.translation_length > most
 
 
 def _systematic(finest: DenseLevel) -> NDArray[np.float64]:
