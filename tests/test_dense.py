@@ -219,3 +219,27 @@ def test_what_walks_is_left_out_of_the_levels_that_are_refined() -> None:
     pixels = apply_homography(b.levels[0].pixel_from_metres, motion.inverse().apply(kept[0].points))
     assert 0 < len(kept[0].points) < len(a.levels[0].points)
     assert pixels[:, 0].min() > image.shape[1] // 2 - 16
+
+
+def test_what_a_rocking_camera_makes_disagree_is_not_left_to_another_tile() -> None:
+    """Features alone, not yet allowed to rock, agree with few patches: the search's fit is kept."""
+    calibration = photograph.make_camera(CameraOptions())
+    world = photograph.World(floors.make_floor("tiles", 0.5, 0.0005, seed=0))
+    photographer = photograph.Photographer(world, calibration)
+    mapper = slamcli.Mapper(calibration)
+    rocking = DisturbanceOptions(rocking_degrees=0.5)
+    frames, poses = [], []
+    for index in (11, 12):
+        angle = index * 0.07 / 1.5
+        pose = Pose2(1.5 * math.sin(angle), 1.5 * (1.0 - math.cos(angle)), angle)
+        generator = np.random.default_rng([0, 2, index])
+        image = photograph.take(photographer, (pose, pose), 0.0, rocking, generator)
+        frames.append(mapper.prepare(Frame(index, f"{index}", None, image)))
+        poses.append(pose)
+    motion = poses[0].inverse() @ poses[1]
+    window = dense.Window(motion, math.radians(40.0), 0.4)
+    trial = compare(frames[0], frames[1], None, calibration, MapperOptions(), window=window)
+    assert trial.link is not None, trial.reason
+    metres, degrees = error_of(trial.link.a_from_b, motion)
+    assert metres < 0.002
+    assert degrees < 0.2

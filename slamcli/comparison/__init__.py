@@ -195,7 +195,7 @@ class _Case:
         kept = []
         for fit in fits:
             if hypotheses.same(fit.pose, by_features.pose, pair):
-                if not belief.crowded(by_features):
+                if not (belief.crowded(by_features) and belief.crowded(fit)):
                     kept.append(fit)
             elif not belief.implausible(fit, self.way_metres, self.options):
                 kept.append(fit)
