@@ -126,7 +126,7 @@ class Graph(Track):
             To a placed frame: what the picture tells of some directions. Odometry fills the others.
         """
         lacking = lost(prepared, reason)
-        latest = self.latest_placed if partial is None else self._estimates[partial.a]
+        latest = self.latest_placed if partial is None else self[partial.a]
         link = None if latest is None else self.senses.link(latest, lacking)
         if latest is None or link is None:
             return self.keep(lacking)

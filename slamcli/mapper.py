@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from slamcli.comparison import Trial
     from slamcli.core.geometry import Grid
-    from slamcli.core.records import Calibration, DenseLevel, Link, PoseEstimate
+    from slamcli.core.records import Calibration, Link, PoseEstimate
     from slamcli.core.telemetry import (
         CompassReading,
         Georeference,
@@ -67,14 +67,11 @@ class Mapper:
             calibration
         )
         self._tilt = math.radians(self.options.tilt_sigma_degrees)
-        self._resampler = view.make_view_resampler(calibration, self.metres_per_pixel)
-        self._far_resampler = None
+        self._resamplers = [view.make_view_resampler(calibration, self.metres_per_pixel)]
         if self.options.dense:
-            self._far_resampler = view.make_far_resampler(calibration, self.metres_per_pixel)
-        self._stencils = dense.make_stencils(self._resampler.mask)
-        self._far_stencils = None
-        if self._far_resampler is not None:
-            self._far_stencils = dense.make_stencils(self._far_resampler.mask)
+            far = view.make_far_resampler(calibration, self.metres_per_pixel)
+            self._resamplers += [] if far is None else [far]
+        self._stencils = [dense.make_stencils(resampler.mask) for resampler in self._resamplers]
         self._graph = Graph(Senses(telemetry))
         self._loops = Loops(calibration, self.options, self.grid)
         self._keyframes: list[Prepared] = []
@@ -88,7 +85,7 @@ class Mapper:
     @property
     def grid(self) -> Grid:
         """Of the views that are matched, in the robot frame."""
-        return self._resampler.grid
+        return self._resamplers[0].grid
 
     @property
     def estimates(self) -> list[PoseEstimate]:
@@ -157,15 +154,15 @@ class Mapper:
         """Compute all that needs no other frame; may run ahead on any thread. Never raises."""
         try:
             view.check_frame(frame, self.calibration)
-            seen = view.make_view(frame, self._resampler, gray=True)
+            views = view.make_compared_views(frame, self._resamplers)
+            seen = views[0]
             view.check_view(seen)
             found = features.extract(seen, self.calibration, self.options.features, self._tilt)
-            whole = frame.mask is None
-            levels = dense.make_levels(seen, self._stencils if whole else None)
-            far_levels: tuple[DenseLevel, ...] = ()
-            if self._far_resampler is not None:
-                far = view.make_view(frame, self._far_resampler, gray=True)
-                far_levels = dense.make_levels(far, self._far_stencils if whole else None)
+            levels, *far = [
+                dense.make_levels(one, stencils if frame.mask is None else None)
+                for one, stencils in zip(views, self._stencils, strict=True)
+            ]
+            far_levels = far[0] if far else ()
             alike = dense.repeats(levels[-1])
         except FrameError as error:
             return Prepared(frame.index, frame.name, frame.stamp, None, None, str(error))

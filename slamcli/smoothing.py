@@ -33,6 +33,8 @@ _WINDOW_FRAMES = 50
 # this share of them; when they are nearly the whole map, that is.
 _LOOP_WINDOW_SHARE = 0.1
 _WHOLE_SHARE = 0.8
+# Links without odometry's share in which a frame would have no place.
+_CARRIED = ("odometry", "partial")
 
 
 class Smoother:
@@ -96,8 +98,7 @@ class Smoother:
         self._offsets[fragment] = solution.offsets
         self.switched_off = self.switched_off.difference(weighed.numbers) | weighed.switched_off
         used = set(weighed.numbers) - weighed.switched_off
-        drawn = {"odometry", "partial"}
-        shown = [track.links[n] for n in used if track.links[n].kind not in drawn]
+        shown = [track.links[n] for n in used if track.links[n].kind not in _CARRIED]
         seen = {end for link in shown for end in (link.a, link.b)}
         for index in initial:
             known = track[index]

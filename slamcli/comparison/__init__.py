@@ -169,7 +169,9 @@ class _Case:
         best = fits[0]
         differs = by_features is not None and not hypotheses.same(by_features.pose, best.pose, pair)
         backed = backed_by_features and not differs
-        is_open = not backed and bool(self._undetermined(best))
+        range_metres = self.calibration.max_range_metres
+        undetermined = "" if backed else belief.undetermined(best, range_metres, self.options)
+        is_open = bool(undetermined)
         others = hypotheses.elsewhere(fits[1:], best) if is_open else fits[1:]
         rival = self._rival(pair, best, others)
         doubt = belief.implausible(best, self.way_metres, self.options, backed=backed)
@@ -181,12 +183,8 @@ class _Case:
             doubt = belief.ambiguous(rival, self.options)
         if not doubt:
             doubt = self.repeats(pair, best, is_open=is_open)
-        if doubt or not is_open:
-            return self.trial(best, doubt, rival, found)
-        return self.trial(best, self._undetermined(best), rival, found, partly=True)
-
-    def _undetermined(self, fit: Hypothesis) -> str:
-        return belief.undetermined(fit, self.calibration.max_range_metres, self.options)
+        partly = is_open and not doubt
+        return self.trial(best, doubt or undetermined, rival, found, partly=partly)
 
     def _of_the_floor(
         self, fits: list[Hypothesis], pair: Pair, by_features: Hypothesis
@@ -195,7 +193,7 @@ class _Case:
         kept = []
         for fit in fits:
             if hypotheses.same(fit.pose, by_features.pose, pair):
-                if not (belief.crowded(by_features) and belief.crowded(fit)):
+                if not (hypotheses.crowded(by_features) and hypotheses.crowded(fit)):
                     kept.append(fit)
             elif not belief.implausible(fit, self.way_metres, self.options):
                 kept.append(fit)

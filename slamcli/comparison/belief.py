@@ -49,11 +49,6 @@ def backing(alignment: Alignment, options: MapperOptions) -> bool:
     return alignment.inlier_count >= _BACKING * options.matching.min_inliers
 
 
-def crowded(fit: Hypothesis) -> bool:
-    """Return whether most of what tells something stands or walks on the floor."""
-    return fit.agreed.confirmed < hypotheses.MOSTLY
-
-
 def few(alignment: Alignment, options: MapperOptions) -> str:
     """Return why features alone are not believed."""
     return (

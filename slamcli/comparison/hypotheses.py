@@ -36,7 +36,7 @@ _ROCKING_SHARE = 0.6
 # A robot may rock so much more than its tilt sigma says, where the pixels ask for it.
 _ROCKING_TIMES = 5.0
 # Of the patches that tell.
-MOSTLY = 0.5
+_MOSTLY = 0.5
 _MOST_STRAY_PIXELS, _MOST_STRAY_RADIANS = 2.0, math.radians(0.5)
 _OPEN_SIGMAS = 4.0
 # Of the patches, for a motion; so many times those for its rival. Two wrong motions on a worn floor
@@ -135,12 +135,12 @@ def polish(
     if not options.refine and covariance is not None:
         return start
     levels_a, levels_b = pair.a, pair.b
-    crowded = False
+    held = False
     if covariance is not None:
         # Features come within a pixel of the finest levels; a search's finds start at the coarsest.
         levels_a, levels_b = pair.a[:2], pair.b[:2]
-        crowded = start.agreed.confirmed < MOSTLY
-        if crowded:
+        held = crowded(start)
+        if held:
             # Most of what is seen stands or walks, and would pull the motion to its own.
             levels_a = dense.agreeing(levels_a, levels_b[0], start.view_a_from_view_b)
     best = start
@@ -160,13 +160,18 @@ def polish(
             continue
         fit = judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
         # A camera that rocks makes most of the floor disagree too, until it is allowed for.
-        if crowded and fit.agreed.confirmed < MOSTLY and _strayed(pose, fit.pose, pair):
+        if held and crowded(fit) and _strayed(pose, fit.pose, pair):
             continue
         if best.covariance is None or (
             _better(fit, best, rocking=tilt > 0.0) and _holds(fit, best, calibration, options)
         ):
             best = fit
     return best
+
+
+def crowded(fit: Hypothesis) -> bool:
+    """Return whether most of what tells something stands or walks on the floor."""
+    return fit.agreed.confirmed < _MOSTLY
 
 
 def _strayed(start: Pose2, pose: Pose2, pair: Pair) -> bool:
@@ -237,14 +242,14 @@ def elsewhere(fits: list[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
     """Leave out what differs from the best only where it is known least, as along a line."""
     if best.covariance is None:
         return fits
-    known = np.linalg.eigh(best.covariance[:2, :2])[1][:, 0]
+    variances, directions = np.linalg.eigh(best.covariance[:2, :2])
+    most_across = _OPEN_SIGMAS * math.sqrt(float(variances[0]))
+    most_turn = _OPEN_SIGMAS * math.sqrt(float(best.covariance[2, 2]))
     kept = []
     for fit in fits:
         apart = best.pose.inverse() @ fit.pose
-        across = abs(float(known @ (apart.x, apart.y)))
-        sigma = math.sqrt(float(known @ best.covariance[:2, :2] @ known))
-        turn_sigma = math.sqrt(float(best.covariance[2, 2]))
-        if across > _OPEN_SIGMAS * sigma or abs(apart.theta) > _OPEN_SIGMAS * turn_sigma:
+        across = abs(float(directions[:, 0] @ (apart.x, apart.y)))
+        if across > most_across or abs(apart.theta) > most_turn:
             kept.append(fit)
     return kept
 

@@ -142,7 +142,8 @@ def birdseye_picture(frame: Frame, calibration: Calibration, metres_per_pixel: f
     except FrameError as error:
         raise InputError(f"{frame.name}: {error}") from error
     resampler = view.make_view_resampler(calibration, metres_per_pixel)
-    return Picture(frame, view.make_view(frame, resampler, gray=True), calibration)
+    seen = view.make_compared_views(frame, [resampler])[0]
+    return Picture(frame, seen, calibration)
 
 
 def fit_pair(
@@ -224,7 +225,7 @@ def _prepared(index: int, picture: Picture, found: Features) -> Prepared:
     far = view.make_far_resampler(picture.calibration, picture.view.grid.metres_per_pixel)
     far_levels: tuple[DenseLevel, ...] = ()
     if far is not None:
-        far_levels = dense.make_levels(view.make_view(picture.frame, far, gray=True))
+        far_levels = dense.make_levels(view.make_compared_views(picture.frame, [far])[0])
     return Prepared(
         index,
         picture.frame.name,

@@ -16,6 +16,8 @@ from slamcli.core.records import View
 from slamcli.stages import camera
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from slamcli.core.records import Calibration, Frame
@@ -167,12 +169,21 @@ def resample(image: NDArray[np.uint8], resampler: Resampler) -> NDArray[np.uint8
 
 def make_view(frame: Frame, resampler: Resampler, *, gray: bool) -> View:
     """Return the frame's bird's-eye view; pixels that the frame masks out are not seen."""
-    luminance = to_gray(frame.image)
-    image = luminance if gray else frame.image
-    mask = resampler.mask
-    if frame.mask is not None:
-        mask = np.where(resample(frame.mask, resampler) == 255, mask, np.uint8(0))
-    return View(resampler.grid, resample(image, resampler), mask, noise_gray(luminance))
+    image = to_gray(frame.image) if gray else frame.image
+    return View(resampler.grid, resample(image, resampler), _seen(frame, resampler))
+
+
+def make_compared_views(frame: Frame, resamplers: Iterable[Resampler]) -> list[View]:
+    """Return gray views of one frame that are to be compared by their pixels: with its noise."""
+    image = to_gray(frame.image)
+    noise = noise_gray(image)
+    return [View(r.grid, resample(image, r), _seen(frame, r), noise) for r in resamplers]
+
+
+def _seen(frame: Frame, resampler: Resampler) -> NDArray[np.uint8]:
+    if frame.mask is None:
+        return resampler.mask
+    return np.where(resample(frame.mask, resampler) == 255, resampler.mask, np.uint8(0))
 
 
 def noise_gray(image: NDArray[np.uint8]) -> float:
