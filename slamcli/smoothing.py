@@ -33,7 +33,7 @@ _WINDOW_FRAMES = 50
 # this share of them; when they are nearly the whole map, that is.
 _LOOP_WINDOW_SHARE = 0.1
 _WHOLE_SHARE = 0.8
-# Links without odometry's share in which a frame would have no place.
+# Links that do not place a frame by what it shows: odometry has a share in both.
 _CARRIED = ("odometry", "partial")
 
 
