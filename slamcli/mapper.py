@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from slamcli.comparison import compare
+from slamcli.comparison.preparation import assemble
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Pose2
@@ -158,20 +159,13 @@ class Mapper:
             seen = views[0]
             view.check_view(seen)
             found = features.extract(seen, self.calibration, self.options.features, self._tilt)
-            levels, *far = [
-                dense.make_levels(one, stencils if frame.mask is None else None)
-                for one, stencils in zip(views, self._stencils, strict=True)
-            ]
-            far_levels = far[0] if far else ()
-            alike = dense.repeats(levels[-1])
+            # A mask of the frame's own makes its views' masks others than the camera's.
+            return assemble(frame, views, found, self._stencils if frame.mask is None else None)
         except FrameError as error:
-            return Prepared(frame.index, frame.name, frame.stamp, None, None, str(error))
+            reason = str(error)
         except (cv2.error, ValueError, TypeError) as error:
             reason = f"cannot be processed: {' '.join(str(error).split())}"
-            return Prepared(frame.index, frame.name, frame.stamp, None, None, reason)
-        return Prepared(
-            frame.index, frame.name, frame.stamp, seen, found, "", levels, far_levels, alike
-        )
+        return Prepared(frame.index, frame.name, frame.stamp, None, None, reason)
 
     def step(self, prepared: Prepared) -> PoseEstimate:
         """Place one prepared frame; frames come in order, and an index that came before is refused.

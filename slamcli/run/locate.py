@@ -10,22 +10,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamcli.core.errors import FrameError
 from slamcli.core.geometry import covariance_in_map
-from slamcli.core.records import Prepared
 from slamcli.io.files import refuse_existing
-from slamcli.io.frames import list_frames, read_frame
+from slamcli.io.frames import list_frames
 from slamcli.io.maps import load_map
 from slamcli.io.poses import write_poses
 from slamcli.locate import Locator
 from slamcli.run.executor import ordered
+from slamcli.run.registration import read_and_prepare
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from slamcli.core.records import PoseEstimate
-    from slamcli.io.frames import FrameFile
     from slamcli.run.executor import Progress
 
 
@@ -63,7 +61,7 @@ def locate(
     locator = Locator(load_map(floor_map))
     files = list_frames(sources, None)
     found: list[PoseEstimate] = []
-    work = partial(_read_and_prepare, locator)
+    work = partial(read_and_prepare, locator.prepare)
     for done, prepared in enumerate(ordered(work, files, workers), start=1):
         found.append(locator.place(prepared))
         progress("locating", done, len(files))
@@ -75,13 +73,6 @@ def locate(
         json.dumps([_entry(estimate) for estimate in found], indent=2, ensure_ascii=False),
         0 if any(estimate.map_from_robot is not None for estimate in found) else 1,
     )
-
-
-def _read_and_prepare(locator: Locator, file: FrameFile) -> Prepared:
-    try:
-        return locator.prepare(read_frame(file))
-    except FrameError as error:
-        return Prepared(file.index, file.name, file.stamp, None, None, str(error))
 
 
 def _lines(found: Sequence[PoseEstimate], unit: str) -> list[str]:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from slamcli.comparison import Trial, compare
+from slamcli.comparison.preparation import assemble
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Grid
@@ -19,7 +20,7 @@ from slamcli.stages import align, camera, confirm, dense, features, view
 
 if TYPE_CHECKING:
     from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions
-    from slamcli.core.records import Alignment, Calibration, DenseLevel, Features, Frame
+    from slamcli.core.records import Alignment, Calibration, Features, Frame
     from slamcli.io.frames import FrameFile
 
 LEAST_CORRELATION = 0.4
@@ -221,22 +222,11 @@ def _try(
 
 def _prepared(index: int, picture: Picture, found: Features) -> Prepared:
     """Return a bird's-eye picture as the mapper would compare it."""
-    levels = dense.make_levels(picture.view)
+    frame, views = picture.frame, [picture.view]
     far = view.make_far_resampler(picture.calibration, picture.view.grid.metres_per_pixel)
-    far_levels: tuple[DenseLevel, ...] = ()
     if far is not None:
-        far_levels = dense.make_levels(view.make_compared_views(picture.frame, [far])[0])
-    return Prepared(
-        index,
-        picture.frame.name,
-        None,
-        picture.view,
-        found,
-        "",
-        levels,
-        far_levels,
-        dense.repeats(levels[-1]),
-    )
+        views += view.make_compared_views(frame, [far])
+    return assemble(replace(frame, index=index), views, found)
 
 
 def search_pair(first: Picture, second: Picture, fit: Fit) -> Fit:

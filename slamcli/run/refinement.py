@@ -10,16 +10,15 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from slamcli.core.config import MapperOptions
-from slamcli.core.errors import CalibrationError, FrameError, InputError
+from slamcli.core.errors import CalibrationError, InputError
 from slamcli.core.geometry import Pose2, apply_homography
-from slamcli.core.records import Prepared
 from slamcli.io.calibrations import load_origin, save_calibration
 from slamcli.io.files import refuse_existing
 from slamcli.io.frames import read_frame
-from slamcli.mapper import Mapper
 from slamcli.refine import Refinement, Registration, refine
 from slamcli.run.executor import ordered
 from slamcli.run.inputs import open_inputs
+from slamcli.run.registration import register
 from slamcli.stages import calibrate as solving
 from slamcli.stages import camera
 
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
 
     from slamcli.core.records import Calibration
     from slamcli.io.calibrations import Origin
-    from slamcli.io.frames import FrameFile
     from slamcli.io.tables import Scalar
     from slamcli.run.executor import Progress
     from slamcli.run.inputs import Inputs
@@ -68,42 +66,6 @@ def calibrate_by_frames(
     save_calibration(path, done.registration.calibration, origin)
     lines = [inputs.note] if inputs.note else []
     return [*lines, *describe(done), f"wrote {path}"]
-
-
-def register(
-    files: Sequence[FrameFile],
-    options: MapperOptions,
-    workers: int,
-    progress: Progress,
-    calibration: Calibration,
-) -> Registration:
-    """Place all frames with one calibration."""
-    mapper = Mapper(calibration, options)
-    work = partial(read_and_prepare, mapper)
-    for done, prepared in enumerate(ordered(work, files, workers), start=1):
-        mapper.step(prepared)
-        progress("locating", done, len(files))
-    mapper.finish()
-    return registration_of(mapper)
-
-
-def registration_of(mapper: Mapper) -> Registration:
-    """Return what a mapper knows when all frames have come."""
-    return Registration(
-        mapper.calibration,
-        mapper.estimates,
-        mapper.links,
-        mapper.switched_off,
-        mapper.floor_map(),
-    )
-
-
-def read_and_prepare(mapper: Mapper, file: FrameFile) -> Prepared:
-    """Return a frame ready for the mapper, or with the reason why it cannot be used."""
-    try:
-        return mapper.prepare(read_frame(file))
-    except FrameError as error:
-        return Prepared(file.index, file.name, file.stamp, None, None, str(error))
 
 
 def self_calibrate(

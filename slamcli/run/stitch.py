@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 from slamcli import __version__
@@ -19,7 +18,6 @@ from slamcli.io.maps import MAP_NAME, save_map
 from slamcli.io.poses import write_poses
 from slamcli.mapper import Mapper
 from slamcli.run import exports, products, reporting
-from slamcli.run.executor import ordered
 from slamcli.run.extension import open_extension
 from slamcli.run.inputs import open_inputs
 from slamcli.run.interruption import interruptible
@@ -31,7 +29,8 @@ from slamcli.run.networks import (
     with_point_network,
 )
 from slamcli.run.painting import scenes_of
-from slamcli.run.refinement import read_and_prepare, registration_of, self_calibrate
+from slamcli.run.refinement import self_calibrate
+from slamcli.run.registration import registration_of, walk
 from slamcli.run.telemetry import Telemetry, TelemetryFiles, feed, feed_shifted, read_telemetry
 from slamcli.run.trials import draw_trials
 
@@ -272,15 +271,10 @@ def _locate(
 
     Returns the clocks' offset, in words, if it was to be found.
     """
-    total, first = len(inputs.files), len(mapper.estimates)
-    work = partial(read_and_prepare, mapper)
-    pace = _Pace()
-    prepared_frames = ordered(work, inputs.files[first:], options.workers, options.scheduler)
-    for done, prepared in enumerate(prepared_frames, start=first + 1):
-        mapper.step(prepared)
+    pace, total = _Pace(), len(inputs.files)
+    for done in walk(mapper, inputs.files, options.workers, progress, options.scheduler):
         if options.debug:
             draw_trials(mapper.trials, checkpoint.drawings)
-        progress("locating", done, total)
         stop = interruption.heeded()
         if stop or pace.due() or done == total:
             pace.saving(lambda: checkpoint.save(mapper))

@@ -1,0 +1,173 @@
+"""How far long drives end up from the truth: as a chain, with loops closed, and by plain ORB.
+
+Run: python benchmarks/accuracy.py [--drives a,b] [--keep FOLDER] [--json FILE]. Each drive is made
+by `slam simulate` and mapped by `slam stitch` with its true calibration, with `--no-loops` and
+without. The plain chain beside them gets the same bird's-eye views by the true homography: ORB,
+ratio test, cv2.estimateAffinePartial2D, from frame to frame. Aligned with the truth as
+`slam evaluate` does it. NEES is 3 when the sigmas are honest. With --keep FOLDER what is made stays
+there, and what is there already is not made again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import subprocess
+import sys
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from robustness import fit_partial_affine, pose_of
+
+from slamcli.core.geometry import Pose2
+from slamcli.core.trajectory import Trajectory
+from slamcli.io.calibrations import load_calibration
+from slamcli.io.frames import read_image
+from slamcli.io.trajectories import read_trajectory
+from slamcli.mapper import Mapper
+from slamcli.stages import camera
+from slamcli.stages.evaluation import evaluate
+
+SLAM = (sys.executable, "-m", "slamcli")
+DRIVES = {
+    "loop": ("asphalt", "loop", 36.0, 1000),
+    "lawnmower": ("asphalt", "lawnmower", 21.0, 300),
+    "carpet-loop": ("carpet", "loop", 36.0, 1000),
+    "course-lawnmower": ("course", "lawnmower", 8.0, 300),
+}
+MAPPINGS = {"open": "--no-loops", "closed": "--loops"}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a drive, mapped in one way."""
+
+    drive: str
+    mapping: str
+    placed: int
+    frames: int
+    fragments: int
+    path_metres: float
+    ate_millimetres: float
+    ate_share: float
+    rpe_millimetres: float
+    heading_degrees: float
+    nees: float
+    within: float
+
+
+def simulate(folder: Path, drive: str, seed: int) -> None:
+    """Take a drive's frames, unless they are there."""
+    if not (folder / "truth.csv").exists():
+        floor, path, length, frames = DRIVES[drive]
+        way = ("--floor", floor, "--path", path, "--length", str(length))
+        run("simulate", str(folder), *way, "--frames", str(frames), "--seed", str(seed))
+
+
+def run(*arguments: str) -> None:
+    """Run the slam command."""
+    subprocess.run([*SLAM, *arguments], check=True, capture_output=True)
+
+
+def stitch(folder: Path, mapping: str) -> Trajectory:
+    """Return a drive's poses, mapped now unless they are there."""
+    output = folder / mapping
+    if not (output / "poses.csv").exists():
+        made = ("-c", str(folder / "camera.yaml"), "-o", str(output), MAPPINGS[mapping])
+        # The mosaic is not what is measured.
+        small = ("--metres-per-pixel", "0.01", "--no-standing", "--no-gain")
+        run("stitch", str(folder / "frames"), *made, *small)
+    return read_trajectory(output / "poses.csv")
+
+
+def plain(folder: Path) -> Trajectory:
+    """Return the poses of the plain chain; it ends at the first motion that it does not find."""
+    calibration = load_calibration(folder / "camera.yaml")
+    grid = camera.footprint(calibration, Mapper(calibration).metres_per_pixel)
+    pixel_from_image = grid.pixel_from_metres @ calibration.robot_from_image
+    orb = cv2.ORB_create(2000)
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+    files = sorted((folder / "frames").iterdir())
+    poses: list[Pose2] = []
+    before = None
+    for file in files:
+        gray = cv2.cvtColor(read_image(file), cv2.COLOR_BGR2GRAY)
+        view = cv2.warpPerspective(gray, pixel_from_image, (grid.width, grid.height))
+        now = orb.detectAndCompute(view, None)
+        motion = None if before is None else fit_partial_affine(matcher, before, now)
+        if before is not None and motion is None:
+            break
+        moved = Pose2()
+        if motion is not None:
+            moved = pose_of(grid.metres_from_pixel @ motion @ grid.pixel_from_metres)
+        poses.append(poses[-1] @ moved if poses else moved)
+        before = now
+    names = tuple(file.name for file in files[: len(poses)])
+    table = np.array([[p.x, p.y, p.theta] for p in poses])
+    fragments = np.zeros(len(poses), np.int64)
+    return Trajectory(table, None, names, fragments, None, len(files) - len(poses))
+
+
+def measure(folder: Path, drive: str, mapping: str) -> Outcome:
+    """Compare one mapping with the truth."""
+    poses = plain(folder) if mapping == "plain ORB" else stitch(folder, mapping)
+    found = evaluate(poses, read_trajectory(folder / "truth.csv"), tolerance_seconds=0.01, delta=1)
+    whole = found.whole
+    honest = whole.consistency
+    return Outcome(
+        drive,
+        mapping,
+        found.matched,
+        found.truth_poses,
+        len(found.fragments),
+        whole.path_metres,
+        1e3 * whole.absolute.rmse,
+        whole.absolute_share_of_path,
+        1e3 * whole.relative.rmse,
+        whole.heading.rmse,
+        math.nan if honest is None else honest.nees,
+        math.nan if honest is None else honest.within_95_percent,
+    )
+
+
+def row(found: Outcome) -> str:
+    """Return one line of the table."""
+    sigmas = "" if math.isnan(found.nees) else f"{found.nees:.2f} | {found.within:.0%}"
+    return (
+        f"| {found.drive} | {found.mapping} | {found.placed}/{found.frames} | {found.fragments} "
+        f"| {found.path_metres:.2f} | {found.ate_millimetres:.3f} | {found.ate_share:.4%} "
+        f"| {found.rpe_millimetres:.3f} | {found.heading_degrees:.4f} | {sigmas or ' | '} |"
+    )
+
+
+def main() -> None:
+    """Print a table, drive by drive."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--drives", default="loop,lawnmower", help=", ".join(DRIVES))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path)
+    parser.add_argument("--json", type=Path)
+    told = parser.parse_args()
+    print(
+        "| drive | mapping | placed | fragments | path m | ATE mm | of the path | RPE mm "
+        "| heading degrees | NEES | within 95 % |"
+    )
+    print("|" + "---|" * 11)
+    outcomes = []
+    with tempfile.TemporaryDirectory() as scratch:
+        for drive in told.drives.split(","):
+            folder = (told.keep or Path(scratch)) / drive
+            simulate(folder, drive, told.seed)
+            for mapping in ("plain ORB", *MAPPINGS):
+                outcomes.append(measure(folder, drive, mapping))
+                print(row(outcomes[-1]), flush=True)
+    if told.json:
+        told.json.write_text(json.dumps([asdict(found) for found in outcomes], indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,49 @@
+"""A frame made ready to be compared: all that needs no other frame."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from slamcli.core.records import Prepared
+from slamcli.stages import dense
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamcli.core.records import Features, Frame, View
+
+Stencils = tuple[dense.Stencil, ...]
+
+
+def assemble(
+    frame: Frame,
+    views: Sequence[View],
+    found: Features,
+    stencils: Sequence[Stencils] | None = None,
+) -> Prepared:
+    """Return a frame with its views' pyramids, and by how much its floor repeats.
+
+    Parameters
+    ----------
+    frame : Frame
+    views : sequence of View
+        Gray, from `make_compared_views`: the one that features are taken from, and the far one
+        when the camera sees farther.
+    found : Features
+        Of the first view.
+    stencils : sequence or None
+        From `make_stencils` of each view's mask, where they are at hand.
+    """
+    known: Sequence[Stencils | None] = stencils or [None] * len(views)
+    levels, *far = [dense.make_levels(one, mask) for one, mask in zip(views, known, strict=True)]
+    return Prepared(
+        frame.index,
+        frame.name,
+        frame.stamp,
+        views[0],
+        found,
+        "",
+        levels,
+        far[0] if far else (),
+        dense.repeats(levels[-1]),
+    )

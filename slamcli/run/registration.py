@@ -1,0 +1,72 @@
+"""Files of frames through a mapper: read and prepared ahead, placed one by one in their order."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from slamcli.core.errors import FrameError
+from slamcli.core.records import Prepared
+from slamcli.io.frames import read_frame
+from slamcli.mapper import Mapper
+from slamcli.refine import Registration
+from slamcli.run.executor import ordered
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from slamcli.core.config import MapperOptions
+    from slamcli.core.records import Calibration, Frame
+    from slamcli.io.frames import FrameFile
+    from slamcli.run.executor import Progress
+
+
+def read_and_prepare(prepare: Callable[[Frame], Prepared], file: FrameFile) -> Prepared:
+    """Return a frame ready to be placed, or with the reason why it cannot be used."""
+    try:
+        return prepare(read_frame(file))
+    except FrameError as error:
+        return Prepared(file.index, file.name, file.stamp, None, None, str(error))
+
+
+def walk(
+    mapper: Mapper,
+    files: Sequence[FrameFile],
+    workers: int,
+    progress: Progress,
+    scheduler: str = "",
+) -> Iterator[int]:
+    """Give a mapper all frames that it has not seen; yield after each how many it has by then."""
+    first = len(mapper.estimates)
+    work = partial(read_and_prepare, mapper.prepare)
+    prepared_frames = ordered(work, files[first:], workers, scheduler)
+    for done, prepared in enumerate(prepared_frames, start=first + 1):
+        mapper.step(prepared)
+        progress("locating", done, len(files))
+        yield done
+
+
+def register(
+    files: Sequence[FrameFile],
+    options: MapperOptions,
+    workers: int,
+    progress: Progress,
+    calibration: Calibration,
+) -> Registration:
+    """Place all frames with one calibration."""
+    mapper = Mapper(calibration, options)
+    for _ in walk(mapper, files, workers, progress):
+        pass
+    mapper.finish()
+    return registration_of(mapper)
+
+
+def registration_of(mapper: Mapper) -> Registration:
+    """Return what a mapper knows when all frames have come."""
+    return Registration(
+        mapper.calibration,
+        mapper.estimates,
+        mapper.links,
+        mapper.switched_off,
+        mapper.floor_map(),
+    )
