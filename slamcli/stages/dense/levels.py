@@ -42,6 +42,7 @@ _HALVED_NOISE = 0.48
 _HALVE = np.diag([0.5, 0.5, 1.0])
 # So much is added first, as the noise of the dark would else be all there is to see.
 _DARK_GRAY = 16.0
+_REMAP_COLUMNS = 256
 # In gray levels at the middle of the range.
 _LOGARITHM = ((128.0 + _DARK_GRAY) * np.log(np.arange(256) + _DARK_GRAY)).astype(np.float32)
 
@@ -252,3 +253,16 @@ def _most_telling(strength: NDArray[np.float32]) -> NDArray[np.int64]:
     weaker = 1.0 - _MOST_TEMPLATE_PIXELS / flat.size
     least = float(np.quantile(flat[::_SAMPLE_STEP], weaker)) if weaker > 0 else 0.0
     return np.flatnonzero(flat > least)
+
+
+def sample(
+    image: NDArray[np.float32] | NDArray[np.uint8], pixels: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Interpolate (h, w) at (N, 2) pixels; 0 outside. Folded, as remap limits its maps' sides."""
+    count = len(pixels)
+    rows = -(-count // _REMAP_COLUMNS)
+    folded = np.full((2, rows * _REMAP_COLUMNS), -1e4, dtype=np.float32)
+    folded[:, :count] = pixels.T
+    columns_map, rows_map = folded.reshape(2, rows, _REMAP_COLUMNS)
+    sampled = cv2.remap(image, columns_map, rows_map, cv2.INTER_LINEAR)
+    return np.asarray(sampled, dtype=np.float64).ravel()[:count]

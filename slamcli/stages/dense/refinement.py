@@ -12,12 +12,11 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from slamcli.core.geometry import Pose2, apply_homography, invert
-from slamcli.stages import camera
-from slamcli.stages.dense import levels
+from slamcli.stages.dense import certainty, levels, rocking
+from slamcli.stages.dense.certainty import Solved, State
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,17 +35,9 @@ _HUBER_SIGMAS = 1.5
 # this share of the contrast.
 _LEAST_NOISE_SHARE = 0.2
 _LEAST_LEFT_SHARE = 0.03
-_LEAST_INFORMATION = 1e-8
-_CHANCE_SIGMAS = 2.0
-# The stairs of a line's edge in the camera's pixels, and the blocks of a JPEG, move with the camera
-# and not with the floor: such a share of an edge's gradient along it tells nothing.
-_STAIRS = 0.01
 # Neighbouring residuals are not independent: interpolation and blur tie about this many together.
 _CORRELATED_PIXELS = 24.0
 _SYSTEMATIC_PIXELS = 0.02
-_REMAP_COLUMNS = 256
-# A robot that rocks by a radian bounces by so many times its camera's height.
-_HEIGHT_SHARE_PER_RADIAN = 3.0
 # A refinement that runs away from the fit that it started at, by so many pixels of the coarsest
 # level, has found something else. From a search, whose rotations are steps apart, a motion that
 # turns by no more than half a step may shift by such a share of what is seen.
@@ -114,9 +105,9 @@ def refine(
     searched : bool
         Whether the start is a peak of a `search`, which may lie farther from the truth.
     """
-    sigmas = _mounting_sigmas(calibration, tilt_sigma_radians)
-    state = _State(a_from_b, np.zeros(len(sigmas)), np.zeros(len(sigmas)))
-    solved: _Solved | None = None
+    sigmas = rocking.mounting_sigmas(calibration, tilt_sigma_radians)
+    state = State(a_from_b, np.zeros(len(sigmas)), np.zeros(len(sigmas)))
+    solved: Solved | None = None
     for level_a, level_b in zip(reversed(levels_a), reversed(levels_b), strict=True):
         if len(level_a.points) < _LEAST_TEMPLATE_PIXELS:
             return None
@@ -133,12 +124,12 @@ def refine(
         a_from_b.inverse() @ state.a_from_b, levels_a, searched=searched
     ):
         return None
-    covariance = _covariance(levels_b[0], solved)
+    covariance = certainty.covariance_of(levels_b[0], solved)
     if covariance is None:
         return None
     covariance = covariance + _systematic(levels_a[0])
-    shown_a = _shown_from_floor(calibration, state.mounting_a)
-    shown_b = _shown_from_floor(calibration, state.mounting_b)
+    shown_a = rocking.shown_from_floor(calibration, state.mounting_a)
+    shown_b = rocking.shown_from_floor(calibration, state.mounting_b)
     return Refinement(state.a_from_b, covariance, shown_a @ state.a_from_b.matrix @ invert(shown_b))
 
 
@@ -171,98 +162,28 @@ def _sampled(level: DenseLevel) -> DenseLevel:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _State:
-    """The motion, and what pitch, roll and height differ by in either frame; (0,) where unknown."""
-
-    a_from_b: Pose2
-    mounting_a: NDArray[np.float64]
-    mounting_b: NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solved:
-    """The last step on a level, and what it was made from.
-
-    Attributes
-    ----------
-    state : _State
-    jacobian : (N, K) float64
-    pixels, points : (N, 2) float64
-        In b's level and on its floor.
-    weight : (N,) float64
-        Of each residual, by what is left over.
-    prior : (K, K) float64
-    """
-
-    state: _State
-    jacobian: NDArray[np.float64]
-    pixels: NDArray[np.float64]
-    points: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    prior: NDArray[np.float64]
-
-
-def _mounting_sigmas(calibration: Calibration, tilt_sigma_radians: float) -> NDArray[np.float64]:
-    """Return (3,) sigmas of a frame's pitch, roll and height; (0,) for a camera without them."""
-    if not math.isfinite(calibration.height_metres) or tilt_sigma_radians <= 0.0:
-        return np.zeros(0)
-    height = _HEIGHT_SHARE_PER_RADIAN * tilt_sigma_radians * calibration.height_metres
-    return np.array([tilt_sigma_radians, tilt_sigma_radians, height])
-
-
-def _shown_from_floor(
-    calibration: Calibration, mounting: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return (3, 3): where a view made by the calibration shows the floor of a tilted frame."""
-    if not np.any(mounting):
-        return np.eye(3)
-    tilted = camera.image_from_robot_homography(
-        calibration.camera_matrix,
-        calibration.height_metres + float(mounting[2]),
-        calibration.pitch_radians + float(mounting[0]),
-        calibration.roll_radians + float(mounting[1]),
-    )
-    shown = calibration.robot_from_image @ tilted
-    return np.asarray(shown / shown[2, 2])
-
-
-def _shifts(
-    calibration: Calibration, points: NDArray[np.float64], sigmas: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return (N, 2, 3): metres by which points are shown elsewhere, for one sigma of each."""
-    shifts = np.empty((len(points), 2, len(sigmas)))
-    for number, sigma in enumerate(sigmas):
-        changed = np.zeros(len(sigmas))
-        changed[number] = sigma
-        shifts[:, :, number] = (
-            apply_homography(_shown_from_floor(calibration, changed), points) - points
-        )
-    return shifts
-
-
 def _refine_level(
     a: DenseLevel,
     b: DenseLevel,
-    state: _State,
+    state: State,
     calibration: Calibration,
     sigmas: NDArray[np.float64],
     known: Known | None,
-) -> _Solved | None:
+) -> Solved | None:
     """Return the state refined on one level; None when that does not determine it."""
     count = len(sigmas)
-    shifts_a = _shifts(calibration, a.points, sigmas)
+    shifts_a = rocking.shifts(calibration, a.points, sigmas)
     prior = np.diag(np.concatenate([np.zeros(5), np.ones(2 * count)]))
     if known is not None:
         prior[:3, :3] = invert(known.covariance)
     for _ in range(_MOST_ITERATIONS):
         floor_a = apply_homography(
-            invert(_shown_from_floor(calibration, state.mounting_a)), a.points
+            invert(rocking.shown_from_floor(calibration, state.mounting_a)), a.points
         )
         floor_b = state.a_from_b.inverse().apply(floor_a)
-        shown_b = apply_homography(_shown_from_floor(calibration, state.mounting_b), floor_b)
+        shown_b = apply_homography(rocking.shown_from_floor(calibration, state.mounting_b), floor_b)
         pixels_b = apply_homography(b.pixel_from_metres, shown_b)
-        seen = _sample(b.inside, pixels_b) > 254.5
+        seen = levels.sample(b.inside, pixels_b) > 254.5
         if np.count_nonzero(seen) < _LEAST_TEMPLATE_PIXELS:
             return None
         points, pixels, values = floor_b[seen], pixels_b[seen], a.values[seen]
@@ -273,17 +194,17 @@ def _refine_level(
         jacobian[:, 3] = values
         jacobian[:, 4] = 1.0
         if count:
-            shifts_b = _shifts(calibration, points, sigmas)
+            shifts_b = rocking.shifts(calibration, points, sigmas)
             jacobian[:, 5 : 5 + count] = -np.einsum("ni,nik->nk", a.gradients[seen], shifts_a[seen])
             jacobian[:, 5 + count :] = np.einsum("ni,nik->nk", gradients, shifts_b)
-        residual = _sample(b.detail, pixels) - values
+        residual = levels.sample(b.detail, pixels) - values
         off = _off_prior(state, sigmas, known)
         contrast = float(values.std())
         solved = _solve(jacobian, residual, prior, off, _LEAST_NOISE_SHARE * contrast)
         if solved is None:
             return None
         step, weight = solved
-        state = _State(
+        state = State(
             state.a_from_b @ Pose2(float(step[0]), float(step[1]), float(step[2])),
             state.mounting_a + step[5 : 5 + count] * sigmas,
             state.mounting_b + step[5 + count :] * sigmas,
@@ -297,11 +218,11 @@ def _refine_level(
     left = math.sqrt(float(np.sum(share * residual**2) / np.sum(share)))
     noise = max(left, _LEAST_LEFT_SHARE * contrast, 1e-6)
     weight = share / (noise**2 * _CORRELATED_PIXELS)
-    return _Solved(state, jacobian, pixels, points, weight, prior)
+    return Solved(state, jacobian, pixels, points, weight, prior)
 
 
 def _off_prior(
-    state: _State, sigmas: NDArray[np.float64], known: Known | None
+    state: State, sigmas: NDArray[np.float64], known: Known | None
 ) -> NDArray[np.float64]:
     """Return (5 + 2 n,): by how much a state is off what is known beforehand."""
     off = np.zeros(5 + 2 * len(sigmas))
@@ -311,48 +232,6 @@ def _off_prior(
     if len(sigmas):
         off[5:] = np.concatenate([state.mounting_a / sigmas, state.mounting_b / sigmas])
     return off
-
-
-def _covariance(b: DenseLevel, solved: _Solved) -> NDArray[np.float64] | None:
-    """Return the covariance (3, 3) of the motion, from what both views show of the gradients.
-
-    The noise of one view has gradients too, which would pass for knowledge of a motion along a
-    plain line; the product with the other view's, whose noise is another, has none on average.
-    """
-    jacobian, pixels, points, weight = (
-        solved.jacobian,
-        solved.pixels,
-        solved.points,
-        solved.weight,
-    )
-    right, up = levels.slopes(b.detail, b.metres_per_pixel)
-    other = np.column_stack([_sample(right, pixels), _sample(up, pixels)])
-    both = jacobian.copy()
-    both[:, :2] = -other
-    both[:, 2] = other[:, 0] * points[:, 1] - other[:, 1] * points[:, 0]
-    # About the middle of the overlap turning and moving are told apart.
-    central = np.eye(jacobian.shape[1])
-    middle = points.mean(axis=0)
-    central[:2, 2] = middle[1], -middle[0]
-    first, second = jacobian @ central, both @ central
-    shared = first.T @ (second * weight[:, None])
-    unshared = (first - second).T @ ((first - second) * weight[:, None]) / 2.0
-    scale = 1.0 / np.sqrt(np.maximum(np.sum(first**2 * weight[:, None], axis=0), 1e-12))
-    scales = np.outer(scale, scale)
-    values, vectors = np.linalg.eigh((shared + shared.T) / 2.0 * scales)
-    if not np.isfinite(values).all():
-        return None
-    # The products of the two views' noise, and of either's with what both show, add up by chance
-    # to this; along a direction of which the views show nothing that is all there is.
-    noise = np.einsum("ki,kl,li->i", vectors, unshared * scales, vectors)
-    chance = np.sqrt((2.0 * np.maximum(values, 0.0) * noise + noise**2) / len(points))
-    chance = np.maximum(_CHANCE_SIGMAS * chance, _STAIRS)
-    seen = (vectors * np.maximum(values - chance, 0.0)) @ vectors.T
-    information = (
-        seen + central.T @ solved.prior @ central * scales + _LEAST_INFORMATION * np.eye(len(seen))
-    )
-    covariance = invert(information) * scales
-    return np.asarray((central @ covariance @ central.T)[:3, :3], np.float64)
 
 
 def _solve(
@@ -396,16 +275,3 @@ def _median(values: NDArray[np.float64]) -> float:
     if len(values) % 2:
         return float(np.partition(values, middle)[middle])
     return float(np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1].mean())
-
-
-def _sample(
-    image: NDArray[np.float32] | NDArray[np.uint8], pixels: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Interpolate (h, w) at (N, 2) pixels; 0 outside. Folded, as remap limits its maps' sides."""
-    count = len(pixels)
-    rows = -(-count // _REMAP_COLUMNS)
-    folded = np.full((2, rows * _REMAP_COLUMNS), -1e4, dtype=np.float32)
-    folded[:, :count] = pixels.T
-    columns_map, rows_map = folded.reshape(2, rows, _REMAP_COLUMNS)
-    sampled = cv2.remap(image, columns_map, rows_map, cv2.INTER_LINEAR)
-    return np.asarray(sampled, dtype=np.float64).ravel()[:count]
