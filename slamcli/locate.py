@@ -54,8 +54,8 @@ class Locator:
         Returns
         -------
         PoseEstimate
-            Its covariance is that of the map's keyframe and of the link to it; its score the
-            correlation of the pixels that both see.
+            Its covariance is that of the map's keyframe and of the link to it; its score
+            how likely that link is right.
         """
         if not isinstance(frame, Frame):
             frame = Frame(self._count, f"frame {self._count}", None, frame)

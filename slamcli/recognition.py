@@ -30,7 +30,7 @@ _LEAST_INLIERS = 3
 # Of the patches of floor that tell, for a place to be the same.
 _LEAST_CONFIRMED = 0.9
 _LEAST_CONFIRMED_BY_MANY = 0.5
-_LEAST_SCORE = 0.5
+_LEAST_CORRELATION = 0.5
 # So many spots of the map are compared with a frame that recalls them, from so many keyframes each.
 _MOST_SPOTS = 4
 _PLACES_OF_A_SPOT = 2
@@ -118,7 +118,7 @@ class Recogniser:
             return trial
         # Boards of one print beside boards that differ: most of the floor must be the same. A floor
         # that was changed since then is known by the more points that agree on what is left of it.
-        share = trial.link.score if math.isnan(trial.confirmed) else trial.confirmed
+        share = trial.correlation if math.isnan(trial.confirmed) else trial.confirmed
         many = trial.alignment.inlier_count >= self._options.convincing_inliers
         if share < (_LEAST_CONFIRMED_BY_MANY if many else _LEAST_CONFIRMED):
             reason = f"only {share:.0%} of the floor is as it was (to {keyframe.name})"
@@ -132,7 +132,7 @@ class Recogniser:
             trial.link is not None
             and trial.alignment.accepted
             and trial.alignment.inlier_count >= needed
-            and trial.link.score >= _LEAST_SCORE
+            and trial.correlation >= _LEAST_CORRELATION
         )
 
     def believe(self, prepared: Prepared, places: Sequence[Place], graph: Graph) -> Recognition:

@@ -243,3 +243,18 @@ def test_what_a_rocking_camera_makes_disagree_is_not_left_to_another_tile() -> N
     metres, degrees = error_of(trial.link.a_from_b, motion)
     assert metres < 0.002
     assert degrees < 0.2
+
+
+def test_the_score_tells_right_motions_from_wrong_ones() -> None:
+    camera = photographer_of(floors.make_floor("asphalt", 0.5, 0.001, seed=3))
+    motion = Pose2(0.05, 0.01, 0.1)
+    a, b = prepared_of(camera, Pose2(), 0), prepared_of(camera, motion, 1)
+    elsewhere = prepared_of(camera, Pose2(4.0, 1.0, 0.3), 2)
+    window = dense.Window()
+    right = compare(a, b, None, CALIBRATION, MapperOptions(), window=window)
+    wrong = compare(a, elsewhere, None, CALIBRATION, MapperOptions(), window=window)
+    assert right.link is not None
+    assert right.link.score == right.score
+    assert 0.98 < right.score <= 1.0
+    assert wrong.link is None
+    assert 0.0 <= wrong.score < 0.3

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from slamcli.comparison import belief, hypotheses
+from slamcli.comparison import belief, hypotheses, score
 from slamcli.comparison.hypotheses import Hypothesis, Pair
 from slamcli.core.records import Link
 from slamcli.stages import align
@@ -37,8 +37,10 @@ class Trial:
     alignment : Alignment
         What the features said.
     link : Link or None
-    overlap : float
-        Share of the smaller view's floor that both see; 0 when nothing gave a fit.
+    fit : Hypothesis or None
+        The motion that explains the frames best, believed or not.
+    score : float
+        How likely that is right, in [0, 1]; 0 without one.
     reason : str
         Why there is no link; empty when there is one.
     rival : float
@@ -46,8 +48,6 @@ class Trial:
         alone decided.
     search : Search or None
         What the pixels were asked, when they were.
-    confirmed : float
-        Share of the floor's patches that agree with the fit; nan where too few tell.
     partial : Link or None
         Where nothing but a direction that the pixels leave open speaks against the fit: what they
         do tell, of kind ``partial``. It is worth something beside odometry.
@@ -57,12 +57,27 @@ class Trial:
     prepared: Prepared
     alignment: Alignment
     link: Link | None
-    overlap: float = 0.0
+    fit: Hypothesis | None
+    score: float
     reason: str = ""
     rival: float = math.nan
     search: dense.Search | None = None
-    confirmed: float = math.nan
     partial: Link | None = None
+
+    @property
+    def overlap(self) -> float:
+        """Share of the smaller view's floor that both see; 0 when nothing gave a fit."""
+        return 0.0 if self.fit is None else self.fit.agreed.overlap
+
+    @property
+    def correlation(self) -> float:
+        """Of the overlap's pixels, in [-1, 1]; nan when nothing gave a fit."""
+        return math.nan if self.fit is None else self.fit.agreed.correlation
+
+    @property
+    def confirmed(self) -> float:
+        """Share of the floor's patches that agree with the fit; nan where too few tell."""
+        return math.nan if self.fit is None else self.fit.agreed.confirmed
 
 
 def compare(
@@ -255,6 +270,7 @@ class _Case:
             Whether the doubt is of some direction alone.
         """
         link = partial = None
+        likely = 0.0 if fit is None else self._score(fit, rival)
         if fit is not None and fit.covariance is not None and (partly or not doubt):
             told = Link(
                 self.keyframe.index,
@@ -262,22 +278,25 @@ class _Case:
                 fit.pose,
                 fit.covariance,
                 self.alignment.inlier_count if math.isnan(rival) else 0,
-                fit.agreed.correlation,
+                likely,
                 "partial" if partly else "step",
             )
             link, partial = (None, told) if partly else (told, None)
-        overlap = 0.0 if fit is None else fit.agreed.overlap
         reason = "" if link is not None else f"{doubt} (to {self.keyframe.name})"
-        confirmed = math.nan if fit is None else fit.agreed.confirmed
         return Trial(
             self.keyframe,
             self.prepared,
             self.alignment,
             link,
-            overlap,
+            fit,
+            likely,
             reason,
             rival,
             found,
-            confirmed,
             partial,
         )
+
+    def _score(self, fit: Hypothesis, rival: float) -> float:
+        pair = Pair(self.keyframe.levels, self.prepared.levels)
+        range_metres = self.calibration.max_range_metres
+        return score.score(score.evidence(fit, self.alignment, rival, range_metres, pair))

@@ -166,7 +166,22 @@ def polish(
             _better(fit, best, rocking=tilt > 0.0) and _holds(fit, best, calibration, options)
         ):
             best = fit
+            if held and not crowded(best):
+                # It was the rocking that made the floor disagree: now all of it may speak.
+                held, levels_a = False, pair.a[:2]
+                best = _by_all_of_the_floor(pair, best, calibration, tilt)
     return best
+
+
+def _by_all_of_the_floor(
+    pair: Pair, fit: Hypothesis, calibration: Calibration, tilt_sigma_radians: float
+) -> Hypothesis:
+    """Refine a motion that the agreeing patches alone told; return the better one."""
+    refined = dense.refine(pair.a[:2], pair.b[:2], fit.pose, calibration, tilt_sigma_radians)
+    if refined is None:
+        return fit
+    whole = judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
+    return whole if whole.evidence > fit.evidence else fit
 
 
 def crowded(fit: Hypothesis) -> bool:

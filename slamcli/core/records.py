@@ -384,7 +384,7 @@ class Link:
         Of x, y (m) and theta (rad), in b's own axes (GTSAM's tangent space).
     inliers : int
     score : float
-        Zero-mean normalised cross-correlation of the overlap's pixels, in [-1, 1].
+        How likely the motion is right, in [0, 1]; nan when no picture told it.
     kind : str
     """
 
@@ -431,7 +431,7 @@ class PoseEstimate:
         Of x, y (m), theta (rad), in the robot's own axes.
     inliers : int
     score : float
-        Of the best link that placed the frame; nan without one.
+        Of the surest link that placed the frame; nan without one.
     revised : tuple of int
         Frames whose earlier estimates this update changed.
     odom_from_robot : Pose2 or None

@@ -209,6 +209,7 @@ def _facts(inputs: Inputs, pictures: tuple[Picture, Picture], fit: Fit) -> dict[
         facts["search"] = {
             "decided": fit.trial.link is not None,
             "reason": fit.trial.reason,
+            "score": fit.trial.score,
             "overlap": fit.trial.overlap,
             "rival": _number(fit.trial.rival),
             "confirmed_share": _number(fit.trial.confirmed),
@@ -276,8 +277,9 @@ def _lines(facts: dict[str, object], fit: Fit) -> list[str]:
     if fit.trial is not None:
         return [
             *lines,
-            f"correlation {fit.correlation:.3f}, overlap {fit.trial.overlap:.0%}; the next best "
-            f"motion explains {fit.trial.rival:.0%} of what this one does",
+            f"score {fit.trial.score:.2f} (how likely it is right); correlation "
+            f"{fit.correlation:.3f}, overlap {fit.trial.overlap:.0%}; the next best motion "
+            f"explains {fit.trial.rival:.0%} of what this one does",
             *_patches(fit.trial),
         ]
     lines += [

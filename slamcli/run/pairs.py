@@ -256,4 +256,4 @@ def search_pair(first: Picture, second: Picture, fit: Fit) -> Fit:
         residuals=np.full(len(fit.alignment.matches), np.nan),
         reason="",
     )
-    return replace(fit, alignment=alignment, correlation=trial.link.score, reason="", trial=trial)
+    return replace(fit, alignment=alignment, correlation=trial.correlation, reason="", trial=trial)

@@ -28,7 +28,7 @@ def draw_trials(trials: Sequence[Trial], folder: Path) -> None:
         picture_second, points_second, to_second = _drawable(second, fit.matches[:, 1])
         if trial.link is not None:
             a_from_b: NDArray[np.float64] | None = trial.link.a_from_b.matrix
-            verdict = f"placed, correlation {trial.link.score:.3f}"
+            verdict = f"placed, score {trial.score:.3f}, correlation {trial.correlation:.3f}"
         else:
             a_from_b = fit.a_from_b if fit.accepted else None
             verdict = trial.reason

@@ -1,0 +1,125 @@
+"""Fits the score of a motion to simulated drives, and holds it against those it was not fitted to.
+
+Run: python benchmarks/score.py [--floors a,b] [--disturbances c,d] [--frames N] [--workers N].
+Every comparison that the mapper makes on the drives of `robustness.py`, with another seed, counts,
+and the frames beside others that show other floor. Printed: the weights, in the order of
+`slamcli.comparison.score.EVIDENCE`, and how often motions of each score are right when the score is
+fitted to all other floors.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from concurrent.futures import ProcessPoolExecutor
+from itertools import pairwise, product
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from robustness import DISTURBANCES, FRAME_RATE_HERTZ, WORLDS, is_false, take_frames
+from scipy.optimize import minimize
+
+from slamcli.comparison import compare, score
+from slamcli.comparison.hypotheses import Pair
+from slamcli.core.records import Frame
+from slamcli.mapper import Mapper
+from slamcli.stages import dense
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.comparison import Trial
+    from slamcli.core.geometry import Pose2
+
+FLOORS = "course,asphalt,carpet,tiles,planks,terrazzo,bare,textureless-course,five-prints"
+KINDS = "none,motion-blur,noise,legs,low-overlap,rocking"
+SEED = 7
+# Frames so far apart show other floor.
+FAR = 12
+STIFFNESS = 1.0
+BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0)
+
+
+def comparisons(job: tuple[str, str, int]) -> tuple[str, list[tuple[NDArray[np.float64], bool]]]:
+    """Return the evidence for every motion of one drive, and whether it is right."""
+    floor, kind, count = job
+    cv2.setNumThreads(1)
+    calibration, truth, images = take_frames(WORLDS[floor], DISTURBANCES[kind], count, SEED)
+    mapper = Mapper(calibration)
+    prepared = [
+        mapper.prepare(Frame(index, f"{index:04d}", index / FRAME_RATE_HERTZ, image))
+        for index, image in enumerate(images)
+    ]
+    trials: list[Trial] = []
+    for frame in prepared:
+        mapper.step(frame)
+        trials += mapper.trials
+    trials += [
+        compare(first, second, None, calibration, mapper.options, window=dense.Window())
+        for first, second in zip(prepared, prepared[FAR:], strict=False)
+    ]
+    return floor, [
+        told(trial, truth, calibration.max_range_metres) for trial in trials if trial.fit
+    ]
+
+
+def told(trial: Trial, truth: list[Pose2], range_metres: float) -> tuple[NDArray[np.float64], bool]:
+    """Return the evidence for a trial's motion, and whether it is right."""
+    assert trial.fit is not None
+    a, b = trial.keyframe, trial.prepared
+    pair = Pair(a.levels, b.levels)
+    error = (truth[a.index].inverse() @ truth[b.index]).inverse() @ trial.fit.pose
+    evidence = score.evidence(trial.fit, trial.alignment, trial.rival, range_metres, pair)
+    return evidence, not is_false(error)
+
+
+def fit(evidence: NDArray[np.float64], right: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the weights of the likeliest logistic model, held a little towards none."""
+    sign = np.where(right, 1.0, -1.0)
+
+    def loss(weights: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        margin = sign * (evidence @ weights)
+        slope = -sign / (1.0 + np.exp(np.minimum(margin, 700.0)))
+        held = 0.5 * STIFFNESS * float(weights[1:] @ weights[1:])
+        gradient = slope @ evidence + STIFFNESS * np.r_[0.0, weights[1:]]
+        return float(np.sum(np.logaddexp(0.0, -margin))) + held, gradient
+
+    return np.asarray(minimize(loss, np.zeros(evidence.shape[1]), jac=True).x)
+
+
+def main() -> None:
+    """Collect, fit and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--floors", default=FLOORS, help=", ".join(WORLDS))
+    parser.add_argument("--disturbances", default=KINDS)
+    parser.add_argument("--frames", type=int, default=30)
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    given = parser.parse_args()
+    cells = product(given.floors.split(","), given.disturbances.split(","))
+    jobs = [(floor, kind, given.frames) for floor, kind in cells]
+    floors, rows, right = [], [], []
+    with ProcessPoolExecutor(given.workers) as executor:
+        for floor, found in executor.map(comparisons, jobs):
+            floors += [floor] * len(found)
+            rows += [evidence for evidence, _ in found]
+            right += [true for _, true in found]
+    names, evidence, true = np.array(floors), np.array(rows), np.array(right)
+    print(f"{len(true)} motions, {np.mean(true):.0%} of them right")
+    for name, weight in zip(score.EVIDENCE, fit(evidence, true), strict=True):
+        print(f"{weight:8.2f}  {name}")
+    foretold = np.zeros(len(true))
+    for floor in dict.fromkeys(floors):
+        held_out = names == floor
+        weights = fit(evidence[~held_out], true[~held_out])
+        foretold[held_out] = 1.0 / (1.0 + np.exp(-evidence[held_out] @ weights))
+    print("| score | motions | foretold right | right |\n|---|---|---|---|")
+    for low, high in pairwise(BINS):
+        inside = (foretold >= low) & (foretold <= high if high == 1.0 else foretold < high)
+        if inside.any():
+            shares = f"{np.mean(foretold[inside]):.1%} | {np.mean(true[inside]):.1%}"
+            print(f"| {low} to {high} | {np.count_nonzero(inside)} | {shares} |")
+
+
+if __name__ == "__main__":
+    main()
