@@ -19,17 +19,14 @@ import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
-from robustness import fit_partial_affine, pose_of
+from robustness import plain_motions
 
 from slamcli.core.geometry import Pose2
 from slamcli.core.trajectory import Trajectory
 from slamcli.io.calibrations import load_calibration
 from slamcli.io.frames import read_image
 from slamcli.io.trajectories import read_trajectory
-from slamcli.mapper import Mapper
-from slamcli.stages import camera
 from slamcli.stages.evaluation import evaluate
 
 SLAM = (sys.executable, "-m", "slamcli")
@@ -87,25 +84,12 @@ def stitch(folder: Path, mapping: str) -> Trajectory:
 def plain(folder: Path) -> Trajectory:
     """Return the poses of the plain chain; it ends at the first motion that it does not find."""
     calibration = load_calibration(folder / "camera.yaml")
-    grid = camera.footprint(calibration, Mapper(calibration).metres_per_pixel)
-    pixel_from_image = grid.pixel_from_metres @ calibration.robot_from_image
-    orb = cv2.ORB_create(2000)
-    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
     files = sorted((folder / "frames").iterdir())
-    poses: list[Pose2] = []
-    before = None
-    for file in files:
-        gray = cv2.cvtColor(read_image(file), cv2.COLOR_BGR2GRAY)
-        view = cv2.warpPerspective(gray, pixel_from_image, (grid.width, grid.height))
-        now = orb.detectAndCompute(view, None)
-        motion = None if before is None else fit_partial_affine(matcher, before, now)
-        if before is not None and motion is None:
+    poses = [Pose2()]
+    for motion in plain_motions(calibration, map(read_image, files)):
+        if motion is None:
             break
-        moved = Pose2()
-        if motion is not None:
-            moved = pose_of(grid.metres_from_pixel @ motion @ grid.pixel_from_metres)
-        poses.append(poses[-1] @ moved if poses else moved)
-        before = now
+        poses.append(poses[-1] @ motion)
     names = tuple(file.name for file in files[: len(poses)])
     table = np.array([[p.x, p.y, p.theta] for p in poses])
     fragments = np.zeros(len(poses), np.int64)

@@ -30,6 +30,8 @@ from slamcli.stages import camera
 from slamcli.stages.simulate import drive, floors, photograph
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
     from numpy.typing import NDArray
 
     from slamcli.core.records import Calibration
@@ -218,28 +220,42 @@ def run_slam(
 def run_plain(
     calibration: Calibration, truth: list[Pose2], frames: list[NDArray[np.uint8]]
 ) -> Outcome:
-    """Chain ORB, ratio test and a partial affine from frame to frame on the true homography."""
+    """Count what the plain chain makes of a drive."""
+    placed, false, errors = 1, 0, []
+    for motion, (before, now) in zip(
+        plain_motions(calibration, frames), pairwise(truth), strict=True
+    ):
+        if motion is not None:
+            error = (before.inverse() @ now).inverse() @ motion
+            placed += 1
+            false += is_false(error)
+            errors.append(error.translation_length)
+    return outcome(len(frames), placed, false, errors, 1)
+
+
+def plain_motions(
+    calibration: Calibration, frames: Iterable[NDArray[np.uint8]]
+) -> Iterator[Pose2 | None]:
+    """Yield each frame's motion from the one before, or None, from the second frame on.
+
+    By ORB, ratio test and a partial affine, on the true homography's bird's-eye views.
+    """
     grid = camera.footprint(calibration, Mapper(calibration).metres_per_pixel)
     pixel_from_image = grid.pixel_from_metres @ calibration.robot_from_image
     orb = cv2.ORB_create(2000)
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
-    before, placed, false = None, 1, 0
-    errors = []
-    for index, image in enumerate(frames):
+    before = None
+    for image in frames:
         gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         view = cv2.warpPerspective(gray, pixel_from_image, (grid.width, grid.height))
         now = orb.detectAndCompute(view, None)
         if before is not None:
             motion = fit_partial_affine(matcher, before, now)
-            if motion is not None:
-                moved = pose_of(grid.metres_from_pixel @ motion @ grid.pixel_from_metres)
-                true = truth[index - 1].inverse() @ truth[index]
-                error = true.inverse() @ moved
-                placed += 1
-                false += is_false(error)
-                errors.append(error.translation_length)
+            if motion is None:
+                yield None
+            else:
+                yield pose_of(grid.metres_from_pixel @ motion @ grid.pixel_from_metres)
         before = now
-    return outcome(len(frames), placed, false, errors, 1)
 
 
 def fit_partial_affine(

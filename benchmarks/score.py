@@ -21,7 +21,6 @@ from robustness import DISTURBANCES, FRAME_RATE_HERTZ, WORLDS, is_false, take_fr
 from scipy.optimize import minimize
 
 from slamcli.comparison import compare, score
-from slamcli.comparison.hypotheses import Pair
 from slamcli.core.records import Frame
 from slamcli.mapper import Mapper
 from slamcli.stages import dense
@@ -60,18 +59,15 @@ def comparisons(job: tuple[str, str, int]) -> tuple[str, list[tuple[NDArray[np.f
         for first, second in zip(prepared, prepared[FAR:], strict=False)
     ]
     return floor, [
-        told(trial, truth, calibration.max_range_metres) for trial in trials if trial.fit
+        (trial.evidence, is_right(trial, truth)) for trial in trials if trial.evidence is not None
     ]
 
 
-def told(trial: Trial, truth: list[Pose2], range_metres: float) -> tuple[NDArray[np.float64], bool]:
-    """Return the evidence for a trial's motion, and whether it is right."""
+def is_right(trial: Trial, truth: list[Pose2]) -> bool:
+    """Return whether a trial's motion is near enough to the true one."""
     assert trial.fit is not None
-    a, b = trial.keyframe, trial.prepared
-    pair = Pair(a.levels, b.levels)
-    error = (truth[a.index].inverse() @ truth[b.index]).inverse() @ trial.fit.pose
-    evidence = score.evidence(trial.fit, trial.alignment, trial.rival, range_metres, pair)
-    return evidence, not is_false(error)
+    true = truth[trial.keyframe.index].inverse() @ truth[trial.prepared.index]
+    return not is_false(true.inverse() @ trial.fit.pose)
 
 
 def fit(evidence: NDArray[np.float64], right: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -18,6 +18,9 @@ from slamcli.core.records import Link
 from slamcli.stages import align
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from slamcli.core.config import MapperOptions
     from slamcli.core.geometry import Pose2
     from slamcli.core.records import Alignment, Calibration, Prepared
@@ -39,8 +42,8 @@ class Trial:
     link : Link or None
     fit : Hypothesis or None
         The motion that explains the frames best, believed or not.
-    score : float
-        How likely that is right, in [0, 1]; 0 without one.
+    evidence : (K,) float64 or None
+        What speaks for that and against it, in the order of `score.EVIDENCE`; None without one.
     reason : str
         Why there is no link; empty when there is one.
     rival : float
@@ -58,11 +61,16 @@ class Trial:
     alignment: Alignment
     link: Link | None
     fit: Hypothesis | None
-    score: float
+    evidence: NDArray[np.float64] | None
     reason: str = ""
     rival: float = math.nan
     search: dense.Search | None = None
     partial: Link | None = None
+
+    @property
+    def score(self) -> float:
+        """How likely the fit is right, in [0, 1]; 0 without one."""
+        return 0.0 if self.evidence is None else score.score(self.evidence)
 
     @property
     def overlap(self) -> float:
@@ -269,16 +277,20 @@ class _Case:
         partly : bool
             Whether the doubt is of some direction alone.
         """
-        link = partial = None
-        likely = 0.0 if fit is None else self._score(fit, rival)
+        link = partial = evidence = None
+        if fit is not None:
+            pair = Pair(self.keyframe.levels, self.prepared.levels)
+            range_metres = self.calibration.max_range_metres
+            evidence = score.evidence(fit, self.alignment, rival, range_metres, pair)
         if fit is not None and fit.covariance is not None and (partly or not doubt):
+            assert evidence is not None
             told = Link(
                 self.keyframe.index,
                 self.prepared.index,
                 fit.pose,
                 fit.covariance,
                 self.alignment.inlier_count if math.isnan(rival) else 0,
-                likely,
+                score.score(evidence),
                 "partial" if partly else "step",
             )
             link, partial = (None, told) if partly else (told, None)
@@ -289,14 +301,9 @@ class _Case:
             self.alignment,
             link,
             fit,
-            likely,
+            evidence,
             reason,
             rival,
             found,
             partial,
         )
-
-    def _score(self, fit: Hypothesis, rival: float) -> float:
-        pair = Pair(self.keyframe.levels, self.prepared.levels)
-        range_metres = self.calibration.max_range_metres
-        return score.score(score.evidence(fit, self.alignment, rival, range_metres, pair))

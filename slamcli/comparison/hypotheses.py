@@ -158,7 +158,7 @@ def polish(
         )
         if refined is None:
             continue
-        fit = judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
+        fit = _judge_refined(pair, refined)
         # A camera that rocks makes most of the floor disagree too, until it is allowed for.
         if held and crowded(fit) and _strayed(pose, fit.pose, pair):
             continue
@@ -180,7 +180,7 @@ def _by_all_of_the_floor(
     refined = dense.refine(pair.a[:2], pair.b[:2], fit.pose, calibration, tilt_sigma_radians)
     if refined is None:
         return fit
-    whole = judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
+    whole = _judge_refined(pair, refined)
     return whole if whole.evidence > fit.evidence else fit
 
 
@@ -201,10 +201,10 @@ def _holds(
 ) -> bool:
     """Return whether the pixels hold a motion in every direction, or no less than another's do."""
     least = (options.max_sigma_share * calibration.max_range_metres) ** 2
-    return _widest(fit) <= max(least, _widest(other))
+    return widest_variance(fit) <= max(least, widest_variance(other))
 
 
-def _widest(fit: Hypothesis) -> float:
+def widest_variance(fit: Hypothesis) -> float:
     """Return the variance of the motion in the direction in which it is known worst."""
     assert fit.covariance is not None
     return float(np.linalg.eigvalsh(fit.covariance[:2, :2])[1])
@@ -229,7 +229,7 @@ def sharpen(
     refined = dense.refine(near.a[:2], near.b[:2], fit.pose, calibration, tilt, known)
     if refined is None:
         return fit
-    sharper = judge(near, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
+    sharper = _judge_refined(near, refined)
     if sharper.agreed.overlap < options.min_overlap:
         return fit
     return replace(sharper, evidence=fit.evidence, correlation=fit.correlation)
@@ -248,8 +248,7 @@ def repeated(
         start = fit.pose @ Pose2(float(x), float(y))
         refined = dense.refine(pair.a[:2], pair.b[:2], start, calibration, 0.0)
         if refined is not None and not same(refined.a_from_b, fit.pose, pair):
-            shown = refined.view_a_from_view_b
-            found.append(judge(pair, refined.a_from_b, refined.covariance, shown))
+            found.append(_judge_refined(pair, refined))
     return [rival for rival in found if rival.agreed.overlap >= options.min_overlap]
 
 
@@ -290,6 +289,10 @@ def judge(
     middle = dense.evidence(pair.a[1], pair.b[1], pose, shown)
     correlation = max(fine.correlation, middle.correlation)
     return Hypothesis(pose, covariance, agreed, fine.evidence, correlation, shown)
+
+
+def _judge_refined(pair: Pair, refined: dense.Refinement) -> Hypothesis:
+    return judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
 
 
 def likeness(pair: Pair, fit: Hypothesis) -> float:

@@ -58,7 +58,7 @@ def evidence(
     alike = alignment.pose is not None and hypotheses.same(alignment.pose, fit.pose, pair)
     sharpness = 0.0
     if fit.covariance is not None:
-        widest = math.sqrt(float(np.linalg.eigvalsh(fit.covariance[:2, :2])[1]))
+        widest = math.sqrt(hypotheses.widest_variance(fit))
         share = max(widest / range_metres, 1e-12)
         sharpness = min(max(math.log(share) / math.log(_SHARP_SHARE), 0.0), 1.0)
     return np.array(
