@@ -180,6 +180,42 @@ def test_a_thing_is_followed_to_where_only_two_views_see_the_floor() -> None:
     assert shows[0, :, :4].all()
 
 
+def rough_floor(views: int) -> np.ndarray:
+    """Cells of one floor, as views with a little noise of their own see it."""
+    generator = np.random.default_rng(4)
+    floor = generator.normal(110.0, 6.0, (40, 40, 1))
+    noisy = floor + generator.normal(0.0, 2.0, (views, 40, 40, 3))
+    return np.clip(noisy, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("sharpness", [[1.0, 3.0], [3.0, 1.0], [1.0, 3.0, 1.0]])
+def test_a_thing_ends_where_floor_goes_on(sharpness: list[float]) -> None:
+    # Two views of a spot do not outvote each other, and a sharp one outweighs two: only that the
+    # second's ends where they differ tells that it is the thing.
+    cells = rough_floor(len(sharpness))
+    cells[1, 12:26, 14:30] = (60, 90, 70)
+    weights = np.full((len(sharpness), 40, 40), 1.0, np.float32)
+    weights *= np.array(sharpness, np.float32)[:, None, None]
+    shows = agreement.agreeing(cells, weights, 2)
+    assert not shows[1, 12:26, 14:30].any()
+    assert shows[0].all()
+    assert shows[1, :8].all()
+    assert shows[1, :, 34:].all()
+
+
+def test_a_thing_at_a_views_border_is_found_however_narrow_its_part() -> None:
+    cells = rough_floor(3)
+    cells[1, 12:26, 14:30] = (60, 90, 70)
+    weights = np.ones((3, 40, 40), np.float32)
+    weights[1] = 3.0
+    # The first sees two columns of it, which elsewhere would pass for a displaced edge.
+    weights[0, :, 16:] = 0.0
+    shows = agreement.agreeing(cells, weights, 2)
+    assert not shows[1, 12:26, 14:30].any()
+    assert shows[0, :, :16].all()
+    assert shows[2].all()
+
+
 def test_two_views_that_differ_everywhere_decide_nothing() -> None:
     cells = np.stack([np.full((8, 8, 3), 50, np.uint8), np.full((8, 8, 3), 200, np.uint8)])
     assert agreement.agreeing(cells, np.ones((2, 8, 8), np.float32)).all()

@@ -23,6 +23,11 @@ _TOLERANCE_SHARE = 0.08
 _GREATEST_DIFFERENCE_GRAY = 48
 # Two views that differ do not tell which one is right.
 _LEAST_VIEWS = 3
+# Floor goes on across the border of where views differ; a thing ends there. So far, in cells, to
+# either side they are compared, and by so much more, and so many times, must it differ.
+_OUTLINE_CELLS = 4
+_OUTLINE_GRAY, _OUTLINE_TIMES = 8.0, 1.5
+_LEAST_OUTLINE_CELLS = 6
 
 
 def reference(
@@ -65,8 +70,10 @@ def agreeing(
     A value between the lowest and the highest of the reference around a cell agrees with it: so
     much do poses and blur displace an edge. Where two thirds of three views or more agree, that is
     decided; elsewhere a view is believed as it is where its own picture goes on: a leg that is
-    found out near the robot is one as far as it reaches. What stays undecided goes to the sharper
-    view. Where no view is left, the nearest to the reference is.
+    found out near the robot is one as far as it reaches. What that leaves undecided is a thing in
+    the view that ends where the views begin to differ, while another's floor goes on (as what was
+    left behind is told from what was taken away: San Miguel and Martinez, AVSS 2008); what stays
+    undecided goes to the sharper view. Where no view is left, the nearest to the reference is.
 
     Parameters
     ----------
@@ -77,7 +84,7 @@ def agreeing(
         How far around a cell the reference may show the same: by so much poses are wrong.
     """
     agrees = weights > 0
-    part = _doubtful(cells, agrees, reach_cells + 2)
+    part = _doubtful(cells, agrees, reach_cells + 1 + _OUTLINE_CELLS)
     if part is not None:
         agrees[:, *part] = _agreeing(cells[:, *part], weights[:, *part], reach_cells)
     return agrees
@@ -86,13 +93,13 @@ def agreeing(
 def _doubtful(
     cells: NDArray[np.uint8], seen: NDArray[np.bool_], margin: int
 ) -> tuple[slice, slice] | None:
-    """Return the window around all cells that three views or more show too differently."""
+    """Return the window around all cells that views show too differently."""
     count = seen.sum(axis=0)
     high = np.where(seen[..., None], cells, np.uint8(0)).max(axis=0)
     low = np.where(seen[..., None], cells, np.uint8(255)).min(axis=0)
     spread = _largest(high.astype(np.int16) - low)
     differ = (spread > _TOLERANCE_GRAY) & (count > 1)
-    if not (differ & (count >= _LEAST_VIEWS)).any():
+    if not differ.any():
         return None
     rows, columns = np.flatnonzero(differ.any(axis=1)), np.flatnonzero(differ.any(axis=0))
     return (
@@ -106,21 +113,32 @@ def _agreeing(
 ) -> NDArray[np.bool_]:
     seen = weights > 0
     count = seen.sum(axis=0)
-    beyond = _beyond(cells, weights, count, reach_cells)
-    differs = seen & (beyond > 0)
-    for number in np.flatnonzero(differs.any(axis=(1, 2))):
-        differs[number] = _grown(differs[number]) & seen[number]
-    wrong = differs.sum(axis=0)
-    if not wrong.any():
+    shown, _ = reference(cells, weights)
+    beyond = _beyond(cells, shown, count, reach_cells)
+    leaves = seen & (beyond > 0)
+    if not leaves.any():
         return seen
-    contested = wrong > 0
+    other = seen & (_beyond(cells, shown, count, 0) > 0)
+    differs = np.zeros_like(seen)
+    for number in np.flatnonzero(leaves.any(axis=(1, 2))):
+        differs[number] = _grown(leaves[number], other[number], seen[number], reach_cells)
+    contested = np.asarray(differs.any(axis=0))
+    if not contested.any():
+        return seen
+    wrong = (other | differs).sum(axis=0)
     decided = (count >= _LEAST_VIEWS) & (3 * wrong <= count)
     open_cells = contested & ~decided
+    told = _settle_by_outline(cells, seen, differs, open_cells, ~contested)
+    open_cells = open_cells & ~told
+    votes = np.zeros(count.shape)
     for view, sees in zip(differs, seen, strict=True):
-        undecided = open_cells & sees
-        if undecided.any():
+        if (open_cells & sees).any():
             for_floor = contested & decided & sees & ~view
-            _settle(view, undecided, for_floor, decided & view)
+            vote = _vote(open_cells & sees, for_floor, decided & view)
+            # To find out one view is to clear those that differ from it.
+            votes += np.where(view, vote, -vote)
+    differs ^= seen & open_cells & (votes < 0)
+    differs &= ~(open_cells & (votes == 0) & (count < _LEAST_VIEWS))
     agrees: NDArray[np.bool_] = seen & ~differs
     orphaned = (count > 0) & ~agrees.any(axis=0)
     if orphaned.any():
@@ -132,12 +150,11 @@ def _agreeing(
 
 def _beyond(
     cells: NDArray[np.uint8],
-    weights: NDArray[np.float32],
+    shown: NDArray[np.uint8],
     count: NDArray[np.intp],
     reach_cells: int,
 ) -> NDArray[np.int16]:
-    """Return (N, h, w): by how many gray levels each view leaves what the reference allows."""
-    shown, _ = reference(cells, weights)
+    """Return (..., h, w): by how many gray levels views leave what the reference `shown` allows."""
     around = np.ones((2 * reach_cells + 1, 2 * reach_cells + 1), np.uint8)
     nothing = (count == 0)[..., None]
     low = np.asarray(cv2.erode(np.where(nothing, np.uint8(255), shown), around), np.int16)
@@ -147,15 +164,13 @@ def _beyond(
     return np.asarray(_largest(np.maximum(low - values, values - high)) - slack, np.int16)
 
 
-def _settle(
-    differs: NDArray[np.bool_],
-    undecided: NDArray[np.bool_],
-    for_floor: NDArray[np.bool_],
-    against: NDArray[np.bool_],
-) -> None:
-    """Decide, in the caller's own array, each connected undecided part of one view.
+def _vote(
+    undecided: NDArray[np.bool_], for_floor: NDArray[np.bool_], against: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Return 1 where an undecided part of one view is none of the floor, -1 where it is, else 0.
 
-    By whether it borders more on cells where the view was found to show the floor, or not.
+    By whether the connected part borders more on cells where the view was found to show the floor,
+    or not.
     """
     number, labels = cv2.connectedComponents(undecided.astype(np.uint8), connectivity=4)
     around = np.ones((3, 3), np.uint8)
@@ -163,9 +178,69 @@ def _settle(
     for cells, vote in ((for_floor, -1.0), (against, 1.0)):
         touched = np.asarray(cv2.dilate(cells.astype(np.uint8), around)) > 0
         votes += vote * np.bincount(np.asarray(labels)[touched & undecided], minlength=number)
-    verdict = votes[labels]
-    differs[undecided & (verdict > 0)] = True
-    differs[undecided & (verdict < 0)] = False
+    return np.where(undecided, np.sign(votes)[labels], 0.0)
+
+
+def _settle_by_outline(
+    cells: NDArray[np.uint8],
+    seen: NDArray[np.bool_],
+    differs: NDArray[np.bool_],
+    open_cells: NDArray[np.bool_],
+    agreed: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """Decide, in the caller's own array, where views stand against others; return where it did.
+
+    A connected part at a time: what goes on from the floor around it, over which no views differ,
+    is floor.
+    """
+    settled = np.zeros_like(open_cells)
+    number, labels, boxes, _ = cv2.connectedComponentsWithStats(open_cells.astype(np.uint8))
+    for label in range(1, number):
+        left, top, width, height = (int(value) for value in boxes[label][:4])
+        rows = slice(max(0, top - _OUTLINE_CELLS), top + height + _OUTLINE_CELLS)
+        columns = slice(max(0, left - _OUTLINE_CELLS), left + width + _OUTLINE_CELLS)
+        part = np.asarray(labels)[rows, columns] == label
+        off = np.array(
+            [
+                _off_surroundings(
+                    view[rows, columns], sees[rows, columns], part, agreed[rows, columns]
+                )
+                for view, sees in zip(cells, seen, strict=True)
+            ]
+        )
+        if not np.count_nonzero(np.isfinite(off)) > 1:
+            continue
+        least = float(np.nanmin(off))
+        things = off > max(_OUTLINE_TIMES * least, least + _OUTLINE_GRAY)
+        if things.any():
+            told = np.isfinite(off)[:, None, None] & part & seen[:, rows, columns]
+            here = differs[:, rows, columns]
+            np.copyto(here, things[:, None, None], where=told)
+            settled[rows, columns] |= part
+    return settled
+
+
+def _off_surroundings(
+    view: NDArray[np.uint8],
+    sees: NDArray[np.bool_],
+    part: NDArray[np.bool_],
+    agreed: NDArray[np.bool_],
+) -> float:
+    """Return by how many gray levels a view's part differs from what it shows beside it.
+
+    nan where the view does not see enough of both.
+    """
+    box = (2 * _OUTLINE_CELLS + 1, 2 * _OUTLINE_CELLS + 1)
+    beside = (agreed & sees).astype(np.float32)
+    values = view.astype(np.float32)
+    near = cv2.blur(beside, box, borderType=cv2.BORDER_CONSTANT)
+    mean = cv2.blur(values * beside[..., None], box, borderType=cv2.BORDER_CONSTANT)
+    compared = part & sees & (np.asarray(near) * box[0] * box[1] >= _LEAST_OUTLINE_CELLS)
+    if np.count_nonzero(compared) < _LEAST_OUTLINE_CELLS:
+        return float("nan")
+    expected = np.asarray(mean)[compared] / np.asarray(near)[compared][:, None]
+    difference = np.abs(values[compared] - expected).max(axis=1)
+    return float(np.minimum(difference, _GREATEST_DIFFERENCE_GRAY).mean())
 
 
 def _largest(channels: NDArray[Channel]) -> NDArray[Channel]:
@@ -175,12 +250,27 @@ def _largest(channels: NDArray[Channel]) -> NDArray[Channel]:
     )
 
 
-def _grown(differs: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _grown(
+    leaves: NDArray[np.bool_],
+    other: NDArray[np.bool_],
+    seen: NDArray[np.bool_],
+    reach_cells: int,
+) -> NDArray[np.bool_]:
     """Drop what is at most two cells wide, which are edges that poses displace; grow the rest.
 
-    A thing's outline is mixed with floor.
+    A thing's outline is mixed with floor, and as far inside of it as edges may be displaced the
+    reference allows both. What goes on beyond the view's border is not thin.
+
+    Parameters
+    ----------
+    leaves, other : (h, w) bool
+        Where the view leaves what the reference shows about a cell; and what it shows in it.
+    seen : (h, w) bool
+    reach_cells : int
     """
     around = np.ones((3, 3), np.uint8)
-    solid = cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_OPEN, around)
-    grown: NDArray[np.bool_] = np.asarray(cv2.dilate(solid, around)) > 0
-    return grown
+    wide = cv2.morphologyEx((leaves | ~seen).astype(np.uint8), cv2.MORPH_OPEN, around)
+    solid = np.where(leaves, np.asarray(wide), np.uint8(0))
+    outline = np.asarray(cv2.dilate(solid, around, iterations=reach_cells + 1)) > 0
+    grown: NDArray[np.bool_] = (np.asarray(cv2.dilate(solid, around)) > 0) | (outline & other)
+    return grown & seen
