@@ -114,11 +114,11 @@ def _agreeing(
     seen = weights > 0
     count = seen.sum(axis=0)
     shown, _ = reference(cells, weights)
-    beyond = _beyond(cells, shown, count, reach_cells)
+    beyond = _beyond(cells, shown, count == 0, reach_cells)
     leaves = seen & (beyond > 0)
     if not leaves.any():
         return seen
-    other = seen & (_beyond(cells, shown, count, 0) > 0)
+    other = seen & (_beyond(cells, shown, count == 0, 0) > 0)
     differs = np.zeros_like(seen)
     for number in np.flatnonzero(leaves.any(axis=(1, 2))):
         differs[number] = _grown(leaves[number], other[number], seen[number], reach_cells)
@@ -151,12 +151,22 @@ def _agreeing(
 def _beyond(
     cells: NDArray[np.uint8],
     shown: NDArray[np.uint8],
-    count: NDArray[np.intp],
+    blank: NDArray[np.bool_],
     reach_cells: int,
 ) -> NDArray[np.int16]:
-    """Return (..., h, w): by how many gray levels views leave what the reference `shown` allows."""
+    """Return (..., h, w): by how many gray levels views leave what a picture shows about a cell.
+
+    Parameters
+    ----------
+    cells : (..., h, w, 3) uint8
+    shown : (h, w, 3) uint8
+    blank : (h, w) bool
+        Where the picture shows nothing.
+    reach_cells : int
+        How far about a cell.
+    """
     around = np.ones((2 * reach_cells + 1, 2 * reach_cells + 1), np.uint8)
-    nothing = (count == 0)[..., None]
+    nothing = blank[..., None]
     low = np.asarray(cv2.erode(np.where(nothing, np.uint8(255), shown), around), np.int16)
     high = np.asarray(cv2.dilate(np.where(nothing, np.uint8(0), shown), around), np.int16)
     slack = np.int16(_TOLERANCE_GRAY) + (_TOLERANCE_SHARE * high.max(axis=-1)).astype(np.int16)
@@ -226,21 +236,18 @@ def _off_surroundings(
     part: NDArray[np.bool_],
     agreed: NDArray[np.bool_],
 ) -> float:
-    """Return by how many gray levels a view's part differs from what it shows beside it.
+    """Return by how many gray levels a view's part leaves what it shows beside it.
 
     nan where the view does not see enough of both.
     """
-    box = (2 * _OUTLINE_CELLS + 1, 2 * _OUTLINE_CELLS + 1)
-    beside = (agreed & sees).astype(np.float32)
-    values = view.astype(np.float32)
-    near = cv2.blur(beside, box, borderType=cv2.BORDER_CONSTANT)
-    mean = cv2.blur(values * beside[..., None], box, borderType=cv2.BORDER_CONSTANT)
-    compared = part & sees & (np.asarray(near) * box[0] * box[1] >= _LEAST_OUTLINE_CELLS)
+    beside = agreed & sees
+    around = np.ones((2 * _OUTLINE_CELLS + 1, 2 * _OUTLINE_CELLS + 1), np.uint8)
+    near = np.asarray(cv2.dilate(beside.astype(np.uint8), around)) > 0
+    compared = part & sees & near
     if np.count_nonzero(compared) < _LEAST_OUTLINE_CELLS:
         return float("nan")
-    expected = np.asarray(mean)[compared] / np.asarray(near)[compared][:, None]
-    difference = np.abs(values[compared] - expected).max(axis=1)
-    return float(np.minimum(difference, _GREATEST_DIFFERENCE_GRAY).mean())
+    beyond = _beyond(view, view, ~beside, _OUTLINE_CELLS)[compared]
+    return float(np.clip(beyond, 0, _GREATEST_DIFFERENCE_GRAY).mean())
 
 
 def _largest(channels: NDArray[Channel]) -> NDArray[Channel]:
