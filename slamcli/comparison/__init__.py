@@ -138,8 +138,10 @@ def compare(
     if not ask_pixels:
         return case.trial(by_features, alignment.reason or belief.few(alignment, options))
     if guess is not None:
-        fit = hypotheses.polish(near, guess, None, calibration, options)
-        fits = [fit] if fit.covariance is not None else []
+        fits = []
+        if by_features is None or not hypotheses.leads_to(near, guess, by_features):
+            fit = hypotheses.polish(near, guess, None, calibration, options)
+            fits = [fit] if fit.covariance is not None else []
         return case.choose(near, fits, by_features, None)
     assert window is not None
     window = replace(window, way_metres=case.way_metres)

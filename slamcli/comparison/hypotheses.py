@@ -131,13 +131,45 @@ def polish(
     options: MapperOptions,
 ) -> Hypothesis:
     """Refine a motion on the pixels, where that makes them agree better, and judge it."""
+    plain = None
+    if covariance is not None and options.refine and not pair.far:
+        # Features come within a pixel of the finest levels.
+        refined = dense.refine(pair.a[:2], pair.b[:2], pose, calibration, 0.0)
+        if refined is not None:
+            plain = _judge_refined(pair, refined)
+            near = not _strayed(pose, plain.pose, pair)
+            if near and _explains(plain) and _holds(plain, covariance, calibration, options):
+                # As on most floors: there is nothing left to ask the start about.
+                return plain
     start = judge(pair, pose, covariance, pose.matrix)
     if not options.refine and covariance is not None:
         return start
+    return _polished(pair, start, plain, calibration, options)
+
+
+def _polished(
+    pair: Pair,
+    start: Hypothesis,
+    plain: Hypothesis | None,
+    calibration: Calibration,
+    options: MapperOptions,
+) -> Hypothesis:
+    """Return the best of a start and its refinements, the camera held still and let rock.
+
+    Parameters
+    ----------
+    pair : Pair
+    start : Hypothesis
+        Without a covariance when a search or a guess led to it.
+    plain : Hypothesis or None
+        Its refinement with all of the floor and no rocking, if it was made.
+    calibration : Calibration
+    options : MapperOptions
+    """
+    searched = start.covariance is None
     levels_a, levels_b = pair.a, pair.b
     held = False
-    if covariance is not None:
-        # Features come within a pixel of the finest levels; a search's finds start at the coarsest.
+    if not searched:
         levels_a, levels_b = pair.a[:2], pair.b[:2]
         held = crowded(start)
         if held:
@@ -147,23 +179,26 @@ def polish(
     steady = math.radians(options.tilt_sigma_degrees)
     # Among bare lines, where no features are, a large tilt passes for a turn. What lies far off
     # shifts by much for a little tilt, and is never compared without.
-    tilts = (0.0, steady) if covariance is None else (0.0, steady, _ROCKING_TIMES * steady)
+    tilts = (0.0, steady) if searched else (0.0, steady, _ROCKING_TIMES * steady)
     for tilt in tilts[1:] if pair.far else tilts:
         if tilt > 0.0 and best.covariance is not None and _steady(best):
             break
         # Each from where the features or the search led: without the rocking that there is, the
         # refinement may have gone astray.
-        refined = dense.refine(
-            levels_a, levels_b, pose, calibration, tilt, searched=covariance is None
-        )
-        if refined is None:
-            continue
-        fit = _judge_refined(pair, refined)
+        fit = plain if tilt == 0.0 and not held else None
+        if fit is None:
+            refined = dense.refine(
+                levels_a, levels_b, start.pose, calibration, tilt, searched=searched
+            )
+            if refined is None:
+                continue
+            fit = _judge_refined(pair, refined)
         # A camera that rocks makes most of the floor disagree too, until it is allowed for.
-        if held and crowded(fit) and _strayed(pose, fit.pose, pair):
+        if held and crowded(fit) and _strayed(start.pose, fit.pose, pair):
             continue
         if best.covariance is None or (
-            _better(fit, best, rocking=tilt > 0.0) and _holds(fit, best, calibration, options)
+            _better(fit, best, rocking=tilt > 0.0)
+            and _holds(fit, best.covariance, calibration, options)
         ):
             best = fit
             if held and not crowded(best):
@@ -197,17 +232,34 @@ def _strayed(start: Pose2, pose: Pose2, pair: Pair) -> bool:
 
 
 def _holds(
-    fit: Hypothesis, other: Hypothesis, calibration: Calibration, options: MapperOptions
+    fit: Hypothesis,
+    other: NDArray[np.float64],
+    calibration: Calibration,
+    options: MapperOptions,
 ) -> bool:
-    """Return whether the pixels hold a motion in every direction, or no less than another's do."""
+    """Return whether the pixels hold a motion in every direction, or no less than another is."""
     least = (options.max_sigma_share * calibration.max_range_metres) ** 2
-    return widest_variance(fit) <= max(least, widest_variance(other))
+    return widest_variance(fit) <= max(least, _widest(other))
 
 
 def widest_variance(fit: Hypothesis) -> float:
     """Return the variance of the motion in the direction in which it is known worst."""
     assert fit.covariance is not None
-    return float(np.linalg.eigvalsh(fit.covariance[:2, :2])[1])
+    return _widest(fit.covariance)
+
+
+def _widest(covariance: NDArray[np.float64]) -> float:
+    return float(np.linalg.eigvalsh(covariance[:2, :2])[1])
+
+
+def leads_to(pair: Pair, guess: Pose2, fit: Hypothesis) -> bool:
+    """Return whether a guess, refined, would be no other motion than a fit that explains all."""
+    return _explains(fit) and same(fit.pose, guess, pair)
+
+
+def _explains(fit: Hypothesis) -> bool:
+    """Return whether a fit leaves no camera that rocks and no crowd of legs to be asked about."""
+    return _steady(fit) and not crowded(fit)
 
 
 def _steady(fit: Hypothesis) -> bool:

@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from slamcli.core.records import Calibration, DenseLevel
 
 _MOST_ITERATIONS = 12
-_CONVERGED_PIXELS = 0.003
+# A step so small leaves next to nothing to the next one. From where a sample of the points has led
+# all of them end with one step, which may be larger: what it leaves is a small share of it.
+_CONVERGED_PIXELS, _FINISHING_PIXELS = 0.003, 0.03
 _LEAST_TEMPLATE_PIXELS = 200
 _SAMPLE_POINTS = 4000
 _HUBER_SIGMAS = 1.5
@@ -116,7 +118,9 @@ def refine(
         if level_a is levels_a[0]:
             samples.append(level_a)
         for sample in samples or [level_a]:
-            solved = _refine_level(sample, level_b, state, calibration, sigmas, known)
+            finishing = len(samples) > 1 and sample is level_a
+            least = _FINISHING_PIXELS if finishing else _CONVERGED_PIXELS
+            solved = _refine_level(sample, level_b, state, calibration, sigmas, known, least)
             if solved is None:
                 return None
             state = solved.state
@@ -148,7 +152,8 @@ def _systematic(finest: DenseLevel) -> NDArray[np.float64]:
 
 def _reach(level: DenseLevel) -> float:
     """Return half of how far what a level shows is spread, metres."""
-    return float(np.hypot(*np.ptp(level.points, axis=0))) / 2.0
+    # A column at a time: numpy is slow along an axis so short.
+    return math.hypot(*(float(np.ptp(column)) for column in level.points.T)) / 2.0
 
 
 def _sampled(level: DenseLevel) -> DenseLevel:
@@ -169,8 +174,12 @@ def _refine_level(
     calibration: Calibration,
     sigmas: NDArray[np.float64],
     known: Known | None,
+    least_pixels: float,
 ) -> Solved | None:
-    """Return the state refined on one level; None when that does not determine it."""
+    """Return the state refined on one level until a step moves it by less than `least_pixels`.
+
+    None when the level does not determine it.
+    """
     count = len(sigmas)
     shifts_a = rocking.shifts(calibration, a.points, sigmas)
     prior = np.diag(np.concatenate([np.zeros(5), np.ones(2 * count)]))
@@ -211,7 +220,7 @@ def _refine_level(
         )
         reach = float(np.abs(points).max())
         moved = math.hypot(step[0], step[1]) + abs(step[2]) * reach
-        if moved < _CONVERGED_PIXELS * b.metres_per_pixel:
+        if moved < least_pixels * b.metres_per_pixel:
             break
     # What is left over tells how well the motion is known; the least noise is for outliers alone.
     share = weight / weight.max()
