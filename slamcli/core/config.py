@@ -303,7 +303,7 @@ class ProductOptions:
     crop : (float, float, float, float) or None
         x_min, y_min, x_max, y_max of the turned map, metres.
     memory_bytes : int
-        For pictures and canvases; the libraries themselves take about 0.3 GB more.
+        For all that the process holds; pictures and canvases get what the poses leave of it.
     datum : Datum or None
     """
 
@@ -314,5 +314,5 @@ class ProductOptions:
     nav_metres_per_pixel: float = 0.01
     turn_radians: float = 0.0
     crop: tuple[float, float, float, float] | None = None
-    memory_bytes: int = 2_000_000_000
+    memory_bytes: int = 1_400_000_000
     datum: Datum | None = None

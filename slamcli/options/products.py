@@ -76,9 +76,9 @@ product_options = stacked(
     click.option(
         "--memory",
         type=Bytes(),
-        default="2G",
+        default="1.4G",
         show_default=True,
-        help="For pictures and canvases; the map may be larger.",
+        help="Pictures and canvases get what the poses leave of it; the map may be larger.",
     ),
 )
 

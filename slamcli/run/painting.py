@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slamcli.core.errors import FrameError, InputError
@@ -22,7 +24,6 @@ from slamcli.track import placed_fragments
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from pathlib import Path
 
     import numpy as np
     from numpy.typing import NDArray
@@ -45,6 +46,8 @@ _LEAST_PICTURES = 4
 # A PNG of more than this would not open in most viewers.
 _LARGEST_PNG_PIXELS = 400_000_000
 _PNG_BYTES_A_PIXEL = 5
+# Linux tells of a process's pages here; the second number is of those in memory.
+_RESIDENT = Path("/proc/self/statm")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,6 +258,10 @@ def _wanted(key: TileKey, scale: float, options: ProductOptions) -> bool:
 
 
 def _most_pictures(painter: Painter, memory_bytes: int, workers: int) -> int:
+    """Return how many frames may be held beside all else that the process holds already.
+
+    A few are held in any case: what the poses of a long drive take cannot be given back.
+    """
     room = memory_bytes - workers * _TILE_BYTES
     least = max(_LEAST_PICTURES, 2 * workers)
     if room < least * painter.picture_bytes:
@@ -263,7 +270,16 @@ def _most_pictures(painter: Painter, memory_bytes: int, workers: int) -> int:
             f"--memory {size_text(memory_bytes)} is too little to paint in; "
             f"give {size_text(needed)} or more, or fewer --workers"
         )
-    return room // painter.picture_bytes
+    return max(least, (room - _resident_bytes()) // painter.picture_bytes)
+
+
+def _resident_bytes() -> int:
+    """Return the memory that this process takes; 0 where the system does not tell."""
+    try:
+        pages = _RESIDENT.read_text().split()[1]
+    except OSError:
+        return 0
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
 
 
 def _picture(painter: Painter, scene: Scene, number: int) -> Picture:
