@@ -2,7 +2,8 @@
 
 Run: python benchmarks/score.py [--floors a,b] [--disturbances c,d] [--frames N] [--workers N].
 Every comparison that the mapper makes on the drives of `robustness.py`, with another seed, counts,
-and the frames beside others that show other floor. Printed: the weights, in the order of
+and frames beside the next one, and beside others that show other floor, with no word of how the
+robot moved. Printed: the weights, in the order of
 `slamcli.comparison.score.EVIDENCE`, and how often motions of each score are right when the score is
 fitted to all other floors.
 """
@@ -56,7 +57,8 @@ def comparisons(job: tuple[str, str, int]) -> tuple[str, list[tuple[NDArray[np.f
         trials += mapper.trials
     trials += [
         compare(first, second, None, calibration, mapper.options, window=dense.Window())
-        for first, second in zip(prepared, prepared[FAR:], strict=False)
+        for apart in (1, FAR)
+        for first, second in zip(prepared, prepared[apart:], strict=False)
     ]
     return floor, [
         (trial.evidence, is_right(trial, truth)) for trial in trials if trial.evidence is not None

@@ -118,7 +118,8 @@ def compare(
     )
     alignment = align.align(keyframe.features, prepared.features, matching, guess)
     near = Pair(keyframe.levels, prepared.levels)
-    case = _Case(keyframe, prepared, alignment, calibration, options)
+    searched_metres = 0.0 if window is None or guess is not None else window.radius_metres
+    case = _Case(keyframe, prepared, alignment, calibration, options, searched_metres)
     ask_pixels = options.dense and not (window is None and guess is None)
     if not ask_pixels and options.dense and not belief.many(alignment, options):
         return case.trial(None, alignment.reason or belief.few(alignment, options))
@@ -165,6 +166,7 @@ class _Case:
     alignment: Alignment
     calibration: Calibration
     options: MapperOptions
+    searched_metres: float
 
     @property
     def way_metres(self) -> float:
@@ -283,7 +285,9 @@ class _Case:
         if fit is not None:
             pair = Pair(self.keyframe.levels, self.prepared.levels)
             range_metres = self.calibration.max_range_metres
-            evidence = score.evidence(fit, self.alignment, rival, range_metres, pair)
+            evidence = score.evidence(
+                fit, self.alignment, rival, self.searched_metres, range_metres, pair
+            )
         if fit is not None and fit.covariance is not None and (partly or not doubt):
             assert evidence is not None
             told = Link(

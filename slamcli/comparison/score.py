@@ -30,15 +30,22 @@ EVIDENCE = (
     "inliers that disagree",
     "rival",
     "sharpness",
+    "searched far and wide",
 )
-WEIGHTS = np.array([-2.67, 0.27, 2.90, 2.67, -1.60, 5.67, -0.32, -3.10, 1.33])
+WEIGHTS = np.array([-2.67, 0.27, 2.90, 2.67, -1.60, 5.67, -0.32, -3.10, 1.33, 0.0])
 # So many inliers, and a motion known to such a share of the camera's range, count as one.
 _MANY_INLIERS = 1000.0
 _SHARP_SHARE = 1e-4
+_LEAST_UNEXPLAINED = 1e-3
 
 
 def evidence(
-    fit: Hypothesis, alignment: Alignment, rival: float, range_metres: float, pair: Pair
+    fit: Hypothesis,
+    alignment: Alignment,
+    rival: float,
+    searched_metres: float,
+    range_metres: float,
+    pair: Pair,
 ) -> NDArray[np.float64]:
     """Return (K,) what is told of a motion, in the order of `EVIDENCE`, each about 0 to 1.
 
@@ -49,6 +56,8 @@ def evidence(
         What the features said.
     rival : float
         Of the next best motion, its share of this one's evidence; nan when none was looked for.
+    searched_metres : float
+        How far about where the robot was heading the pixels were searched for one.
     range_metres : float
         How far the camera sees.
     pair : Pair
@@ -64,7 +73,7 @@ def evidence(
     return np.array(
         [
             1.0,
-            0.0 if math.isnan(agreed.correlation) else agreed.correlation,
+            _likeness(agreed.correlation),
             0.0 if math.isnan(agreed.confirmed) else agreed.confirmed,
             float(math.isnan(agreed.confirmed)),
             min(agreed.overlap, 1.0),
@@ -72,8 +81,17 @@ def evidence(
             0.0 if alike else inliers,
             0.0 if math.isnan(rival) else rival,
             sharpness,
+            0.0 if math.isnan(rival) else min(searched_metres / range_metres, 1.0),
         ]
     )
+
+
+def _likeness(correlation: float) -> float:
+    """Return how far a correlation is from chance: the logarithm of what it leaves unexplained."""
+    if not correlation > 0.0:
+        return 0.0
+    unexplained = max(1.0 - correlation**2, _LEAST_UNEXPLAINED)
+    return math.log(unexplained) / math.log(_LEAST_UNEXPLAINED)
 
 
 def score(told: NDArray[np.float64]) -> float:
