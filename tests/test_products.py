@@ -23,6 +23,7 @@ from slamcli.core.records import Tile
 from slamcli.io import deepzoom, geotiff, rasters
 from slamcli.io.checkpoints import Checkpoint, run_key
 from slamcli.io.tilestore import TileStore
+from slamcli.run import pictures
 
 rasterio = pytest.importorskip("rasterio")
 warp = pytest.importorskip("rasterio.warp")
@@ -231,6 +232,22 @@ def test_too_little_memory_and_too_large_a_png_are_refused(written: Path, tmp_pa
     assert "--format geotiff" in result.output.splitlines()[-1]
     assert run("render", written, "--memory", "much").exit_code == 2
     assert run("stitch", "x", "--datum", "1,x").exit_code == 2
+
+
+def test_pictures_get_what_the_process_leaves_of_the_memory(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    held = {}
+    for megabytes in (0, 60, 190):
+        pages = tmp_path / f"{megabytes}"
+        pages.write_text(f"9 {megabytes * 1_000_000 // os.sysconf('SC_PAGE_SIZE')} 9")
+        monkeypatch.setattr(pictures, "_RESIDENT", pages)
+        held[megabytes] = pictures.most_pictures(1_000_000, 200_000_000, 20_000_000, 2)
+    assert held[0] == 180
+    assert held[60] == pytest.approx(120, abs=1)
+    assert 0 < held[190] < 10
+    monkeypatch.setattr(pictures, "_RESIDENT", tmp_path / "nowhere")
+    assert pictures.most_pictures(1_000_000, 200_000_000, 20_000_000, 2) == 180
 
 
 def test_a_missing_library_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:

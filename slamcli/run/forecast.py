@@ -16,7 +16,7 @@ from slamcli.mapper import Mapper
 from slamcli.painter import Painter
 from slamcli.run.executor import ordered
 from slamcli.run.inputs import open_inputs
-from slamcli.run.painting import size_text
+from slamcli.run.pictures import size_text
 from slamcli.stages import camera
 
 if TYPE_CHECKING:

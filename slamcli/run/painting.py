@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slamcli.core.errors import FrameError, InputError
@@ -17,13 +15,14 @@ from slamcli.io.frames import read_frame, read_reduced_gray
 from slamcli.io.tilestore import TileStore
 from slamcli.painter import Painter
 from slamcli.run.executor import ordered
-from slamcli.run.pictures import Pictures
+from slamcli.run.pictures import Pictures, most_pictures, size_text
 from slamcli.stages import camera
 from slamcli.stages.mosaic import exposure, tiles
 from slamcli.track import placed_fragments
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     import numpy as np
     from numpy.typing import NDArray
@@ -42,12 +41,9 @@ if TYPE_CHECKING:
 _TILE_BYTES = 60_000_000
 _STORED_TILE_BYTES = tiles.TILE_PIXELS**2 * 3 + tiles.TILE_PIXELS**2 // 8
 _LAYER_BYTES = {"resolution": 4, "views": 2, "last-frame": 4}
-_LEAST_PICTURES = 4
 # A PNG of more than this would not open in most viewers.
 _LARGEST_PNG_PIXELS = 400_000_000
 _PNG_BYTES_A_PIXEL = 5
-# Linux tells of a process's pages here; the second number is of those in memory.
-_RESIDENT = Path("/proc/self/statm")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +136,9 @@ def paint_scene(
     plan = [item for item in painter.plan(scene.shots) if _wanted(item[0], scale, options)]
     if not plan:
         raise InputError("no frame sees anything of that crop; poses.csv tells where they are")
-    most = _most_pictures(painter, options.memory_bytes, workers)
+    most = most_pictures(
+        painter.picture_bytes, options.memory_bytes, workers * _TILE_BYTES, workers
+    )
     pictures = Pictures(partial(_picture, painter, scene), most)
     work = partial(_paint, painter, scene, pictures)
     left = [(key, numbers) for key, numbers in plan if (key.row, key.column) not in store]
@@ -257,31 +255,6 @@ def _wanted(key: TileKey, scale: float, options: ProductOptions) -> bool:
     return grid.x_min < x_max and grid.x_max > x_min and grid.y_min < y_max and grid.y_max > y_min
 
 
-def _most_pictures(painter: Painter, memory_bytes: int, workers: int) -> int:
-    """Return how many frames may be held beside all else that the process holds already.
-
-    A few are held in any case: what the poses of a long drive take cannot be given back.
-    """
-    room = memory_bytes - workers * _TILE_BYTES
-    least = max(_LEAST_PICTURES, 2 * workers)
-    if room < least * painter.picture_bytes:
-        needed = workers * _TILE_BYTES + least * painter.picture_bytes
-        raise InputError(
-            f"--memory {size_text(memory_bytes)} is too little to paint in; "
-            f"give {size_text(needed)} or more, or fewer --workers"
-        )
-    return max(least, (room - _resident_bytes()) // painter.picture_bytes)
-
-
-def _resident_bytes() -> int:
-    """Return the memory that this process takes; 0 where the system does not tell."""
-    try:
-        pages = _RESIDENT.read_text().split()[1]
-    except OSError:
-        return 0
-    return int(pages) * os.sysconf("SC_PAGE_SIZE")
-
-
 def _picture(painter: Painter, scene: Scene, number: int) -> Picture:
     try:
         frame = read_frame(scene.files[number])
@@ -295,12 +268,3 @@ def _paint(
 ) -> Tile | None:
     key, numbers = item
     return painter.paint(key, scene.shots, numbers, pictures)
-
-
-def size_text(count: float) -> str:
-    """Return a number of bytes for the eye."""
-    for unit in ("B", "kB", "MB"):
-        if count < 1000:
-            return f"{count:.3g} {unit}"
-        count /= 1000
-    return f"{count:.3g} GB"

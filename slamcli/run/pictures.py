@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from collections import OrderedDict
 from concurrent.futures import Future
+from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING
+
+from slamcli.core.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from slamcli.stages.mosaic.sampling import Picture
+
+_LEAST_PICTURES = 4
+# Linux tells of a process's pages here; the second number is of those in memory.
+_RESIDENT = Path("/proc/self/statm")
 
 
 class Pictures:
@@ -50,3 +58,41 @@ class Pictures:
                 future.set_exception(error)
                 raise
         return future.result()
+
+
+def most_pictures(picture_bytes: int, memory_bytes: int, canvas_bytes: int, workers: int) -> int:
+    """Return how many frames may be held beside all else that the process holds already.
+
+    A few are held in any case: what the poses of a long drive take cannot be given back.
+
+    Raises
+    ------
+    InputError
+        When the memory would not do even for a process that holds nothing yet.
+    """
+    room = memory_bytes - canvas_bytes
+    least = max(_LEAST_PICTURES, 2 * workers)
+    if room < least * picture_bytes:
+        raise InputError(
+            f"--memory {size_text(memory_bytes)} is too little to paint in; give "
+            f"{size_text(canvas_bytes + least * picture_bytes)} or more, or fewer --workers"
+        )
+    return max(least, (room - _resident_bytes()) // picture_bytes)
+
+
+def _resident_bytes() -> int:
+    """Return the memory that this process takes; 0 where the system does not tell."""
+    try:
+        pages = _RESIDENT.read_text().split()[1]
+    except OSError:
+        return 0
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
+
+
+def size_text(count: float) -> str:
+    """Return a number of bytes for the eye."""
+    for unit in ("B", "kB", "MB"):
+        if count < 1000:
+            return f"{count:.3g} {unit}"
+        count /= 1000
+    return f"{count:.3g} GB"
