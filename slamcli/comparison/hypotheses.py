@@ -185,7 +185,7 @@ def _polished(
             break
         # Each from where the features or the search led: without the rocking that there is, the
         # refinement may have gone astray.
-        fit = plain if tilt == 0.0 and not held else None
+        fit, refined = plain if tilt == 0.0 and not held else None, None
         if fit is None:
             refined = dense.refine(
                 levels_a, levels_b, start.pose, calibration, tilt, searched=searched
@@ -201,18 +201,24 @@ def _polished(
             and _holds(fit, best.covariance, calibration, options)
         ):
             best = fit
-            if held and not crowded(best):
+            if held and refined is not None and not crowded(best):
                 # It was the rocking that made the floor disagree: now all of it may speak.
                 held, levels_a = False, pair.a[:2]
-                best = _by_all_of_the_floor(pair, best, calibration, tilt)
+                best = _by_all_of_the_floor(pair, best, refined, calibration, tilt)
     return best
 
 
 def _by_all_of_the_floor(
-    pair: Pair, fit: Hypothesis, calibration: Calibration, tilt_sigma_radians: float
+    pair: Pair,
+    fit: Hypothesis,
+    told: dense.Refinement,
+    calibration: Calibration,
+    tilt_sigma_radians: float,
 ) -> Hypothesis:
     """Refine a motion that the agreeing patches alone told; return the better one."""
-    refined = dense.refine(pair.a[:2], pair.b[:2], fit.pose, calibration, tilt_sigma_radians)
+    refined = dense.refine(
+        pair.a[:2], pair.b[:2], fit.pose, calibration, tilt_sigma_radians, rocked=told
+    )
     if refined is None:
         return fit
     whole = _judge_refined(pair, refined)

@@ -60,11 +60,15 @@ class Refinement:
     view_a_from_view_b : (3, 3) float64
         Metres to metres, as the views show the floor: the motion, and what each frame's tilt and
         height differ by from the calibration's.
+    mounting_a, mounting_b : (K,) float64
+        That difference, as `rocking.shown_from_floor` takes it; nothing for a steady camera.
     """
 
     a_from_b: Pose2
     covariance: NDArray[np.float64]
     view_a_from_view_b: NDArray[np.float64]
+    mounting_a: NDArray[np.float64]
+    mounting_b: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +95,7 @@ def refine(
     known: Known | None = None,
     *,
     searched: bool = False,
+    rocked: Refinement | None = None,
 ) -> Refinement | None:
     """Refine a motion on the pixels of two views; None when they do not determine it.
 
@@ -106,9 +111,13 @@ def refine(
         Weighed with what the pixels say.
     searched : bool
         Whether the start is a peak of a `search`, which may lie farther from the truth.
+    rocked : Refinement or None
+        With the same sigma, of other pixels: what it found of the rocking is where to start.
     """
     sigmas = rocking.mounting_sigmas(calibration, tilt_sigma_radians)
     state = State(a_from_b, np.zeros(len(sigmas)), np.zeros(len(sigmas)))
+    if rocked is not None:
+        state = State(a_from_b, rocked.mounting_a, rocked.mounting_b)
     solved: Solved | None = None
     for level_a, level_b in zip(reversed(levels_a), reversed(levels_b), strict=True):
         if len(level_a.points) < _LEAST_TEMPLATE_PIXELS:
@@ -134,7 +143,13 @@ def refine(
     covariance = covariance + _systematic(levels_a[0])
     shown_a = rocking.shown_from_floor(calibration, state.mounting_a)
     shown_b = rocking.shown_from_floor(calibration, state.mounting_b)
-    return Refinement(state.a_from_b, covariance, shown_a @ state.a_from_b.matrix @ invert(shown_b))
+    return Refinement(
+        state.a_from_b,
+        covariance,
+        shown_a @ state.a_from_b.matrix @ invert(shown_b),
+        state.mounting_a,
+        state.mounting_b,
+    )
 
 
 def _ran_away(moved: Pose2, levels_a: Sequence[DenseLevel], *, searched: bool) -> bool:
