@@ -40,7 +40,7 @@ THINGS_SHARE = 0.15
 _DIFFERENT_GRAY, _LEAST_SHARE = 12, 0.002
 # Rays from afar see so little that they would drown what blends differ by.
 _LEAST_SHARPNESS_SHARE = 0.12
-_ENOUGH_VIEWS = 3
+_ENOUGH_VIEWS = 2
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def main() -> None:
     if told.things is not None:
         some = mixed(frames, load(told.things).frames)
         others = evened(drive, some)
-        # What one or two views alone see, at the rim, cannot be told from the floor by any other.
+        # What one view alone sees, at the rim, no other can tell from the floor.
         well = inside & (views >= _ENOUGH_VIEWS)
         print(f"{well.sum() / inside.sum():.0%} of the map is seen by {_ENOUGH_VIEWS} or more")
         best = PaintOptions(metres_per_pixel=scale)
