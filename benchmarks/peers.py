@@ -1,7 +1,8 @@
 """Side by side on the same frames: slam stitch, cv2.Stitcher and the `stitching` package.
 
 Run: make bench, or python benchmarks/peers.py [--frames N ...] [--size WxH] [--floor NAME]
-[--drive FOLDER | --folder FRAMES --calibration YAML] [--limit SECONDS] [--json FILE]. A drive is
+[--drive FOLDER | --folder FRAMES --calibration YAML] [--peers NAME ...] [--limit SECONDS]
+[--json FILE]. A drive is
 what `slam simulate` has written and kept, of which the first N frames are taken; its truth gives
 the fidelity. The peers cannot make bird's-eye views, so they are given them, by `slam warp`; making
 those does not count. Each runs in a process of its own: wall and processor time and peak memory
@@ -61,6 +62,7 @@ picture = stitcher.stitch(sys.argv[2:])
 print("placed", len(stitcher.images.names))
 cv2.imwrite(sys.argv[1], picture)
 """
+PEERS = {"scans": ("cv2.Stitcher SCANS", OPENCV), "stitching": ("stitching, affine", PACKAGE)}
 
 
 @dataclass(frozen=True)
@@ -195,9 +197,14 @@ def similarity(a: NDArray[np.float32], b: NDArray[np.float32], inside: NDArray[n
 
 
 def compare(
-    frames: Path, calibration: Path, work: Path, truth: NDArray[np.uint8] | None, limit: float
+    frames: Path,
+    calibration: Path,
+    work: Path,
+    truth: NDArray[np.uint8] | None,
+    peers: list[str],
+    limit: float,
 ) -> list[Outcome]:
-    """Run every tool on the same frames."""
+    """Run slam stitch and its peers on the same frames."""
     files = list_frames([frames])
     views = work / "views"
     scale = str(VIEW_METRES_PER_PIXEL)
@@ -210,7 +217,7 @@ def compare(
         cv2.imwrite(str(flat[-1]), picture)
     outcomes = [slam(frames, calibration, work / "map", len(files), limit)]
     results = [work / "map" / "mosaic.png"]
-    for tool, script in (("cv2.Stitcher SCANS", OPENCV), ("stitching, affine", PACKAGE)):
+    for tool, script in (PEERS[name] for name in peers):
         results.append(work / f"{tool.split()[0].strip(',')}.png")
         outcomes.append(peer(tool, script, flat, results[-1], limit))
     if truth is None:
@@ -264,6 +271,7 @@ def main() -> None:
     parser.add_argument("--drive", type=Path, help="of slam simulate, on the same floor")
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--calibration", type=Path)
+    parser.add_argument("--peers", nargs="*", default=list(PEERS), choices=list(PEERS))
     parser.add_argument("--limit", type=float, default=1800.0)
     parser.add_argument("--json", type=Path)
     told = parser.parse_args()
@@ -279,10 +287,11 @@ def main() -> None:
             here = work / str(count)
             here.mkdir()
             if told.folder is not None:
-                found = compare(told.folder, told.calibration, here, None, told.limit)
+                found = compare(told.folder, told.calibration, here, None, told.peers, told.limit)
             else:
                 frames, truth = begun(drive, count, here), true_floor(told.floor, drive, 0, count)
-                found = compare(frames, drive / "camera.yaml", here, truth, told.limit)
+                camera = drive / "camera.yaml"
+                found = compare(frames, camera, here, truth, told.peers, told.limit)
             print(table(found), flush=True)
             outcomes += found
     if told.json:
