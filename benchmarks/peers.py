@@ -1,15 +1,14 @@
 """Side by side on the same frames: slam stitch, cv2.Stitcher and the `stitching` package.
 
-Run: make bench, or python benchmarks/peers.py [--frames N ...] [--size WxH] [--floor NAME]
-[--drive FOLDER | --folder FRAMES --calibration YAML] [--peers NAME ...] [--limit SECONDS]
-[--json FILE]. A drive is
-what `slam simulate` has written and kept, of which the first N frames are taken; its truth gives
-the fidelity. The peers cannot make bird's-eye views, so they are given them, by `slam warp`; making
-those does not count. Each runs in a process of its own: wall and processor time and peak memory
-are the whole process's. Fidelity is measured on the floor that the result shows, after the best
-similarity onto the true floor (SIFT, RANSAC), for the peers' maps have no scale: peak signal to
-noise ratio after one gain, structural similarity (Wang et al., IEEE Trans. Image Processing 13(4),
-2004), gradient energy as a share of the truth's.
+Run: make bench, or python benchmarks/peers.py [--frames N ...] [--size WxH] [--floor NAME] [--drive
+FOLDER | --folder FRAMES --calibration YAML] [--peers NAME ...] [--limit SECONDS] [--json FILE]. A
+drive is what `slam simulate` has written and kept, of which the first N frames are taken; its truth
+gives the fidelity. The peers cannot make bird's-eye views, so they are given them, by `slam warp`;
+making those does not count. Each runs in a process of its own: wall and processor time and peak
+memory are the whole process's. Fidelity is measured on the floor that the result shows, after the
+best similarity onto the true floor (SIFT, RANSAC), for the peers' maps have no scale: peak signal
+to noise ratio after one gain, structural similarity (Wang et al., IEEE Trans. Image Processing
+13(4), 2004), gradient energy as a share of the truth's.
 """
 
 from __future__ import annotations
