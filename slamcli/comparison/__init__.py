@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from slamcli.comparison import belief, hypotheses
+from slamcli.comparison import belief, hypotheses, polishing
 from slamcli.comparison.case import Case, Trial
-from slamcli.comparison.hypotheses import Pair
+from slamcli.comparison.polishing import Pair
 from slamcli.stages import align
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def compare(
         return case.trial(None, alignment.reason or belief.few(alignment, options))
     by_features = None
     if alignment.pose is not None and alignment.covariance is not None and not alignment.reason:
-        by_features = hypotheses.polish(
+        by_features = polishing.polish(
             near, alignment.pose, alignment.covariance, calibration, options
         )
         if not options.dense or belief.convincing(alignment, by_features, options):
@@ -80,8 +80,8 @@ def compare(
         return case.trial(by_features, alignment.reason or belief.few(alignment, options))
     if guess is not None:
         fits = []
-        if by_features is None or not hypotheses.leads_to(near, guess, by_features):
-            fit = hypotheses.polish(near, guess, None, calibration, options)
+        if by_features is None or not polishing.leads_to(near, guess, by_features):
+            fit = polishing.polish(near, guess, None, calibration, options)
             fits = [fit] if fit.covariance is not None else []
         return case.choose(near, fits, by_features, None)
     assert window is not None
@@ -92,6 +92,6 @@ def compare(
         return trial
     far = Pair(keyframe.far_levels, prepared.far_levels, far=True)
     _, fits = hypotheses.search(far, window, calibration, options)
-    sharper = [hypotheses.sharpen(near, fit, calibration, options) for fit in fits]
+    sharper = [polishing.sharpen(near, fit, calibration, options) for fit in fits]
     second = case.choose(far, sharper, None, found)
     return trial if second.link is None else second

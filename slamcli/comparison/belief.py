@@ -10,7 +10,7 @@ import numpy as np
 from slamcli.comparison import hypotheses
 
 if TYPE_CHECKING:
-    from slamcli.comparison.hypotheses import Hypothesis, Pair
+    from slamcli.comparison.polishing import Hypothesis, Pair
     from slamcli.core.config import MapperOptions
     from slamcli.core.records import Alignment
 

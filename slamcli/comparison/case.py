@@ -6,15 +6,15 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from slamcli.comparison import belief, hypotheses, score
-from slamcli.comparison.hypotheses import Pair
+from slamcli.comparison import belief, hypotheses, polishing, score
+from slamcli.comparison.polishing import Pair
 from slamcli.core.records import Link
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from slamcli.comparison.hypotheses import Hypothesis
+    from slamcli.comparison.polishing import Hypothesis
     from slamcli.core.config import MapperOptions
     from slamcli.core.records import Alignment, Calibration, Prepared
     from slamcli.stages import dense
@@ -115,7 +115,7 @@ class Case:
                 None, self.alignment.reason or "the pixels show no motion", 1.0, found
             )
         best = fits[0]
-        differs = by_features is not None and not hypotheses.same(by_features.pose, best.pose, pair)
+        differs = by_features is not None and not polishing.same(by_features.pose, best.pose, pair)
         backed = backed_by_features and not differs
         range_metres = self.calibration.max_range_metres
         undetermined = "" if backed else belief.undetermined(best, range_metres, self.options)
@@ -140,8 +140,8 @@ class Case:
         """Leave out what legs make of a motion that features speak for, and their own motions."""
         kept = []
         for fit in fits:
-            if hypotheses.same(fit.pose, by_features.pose, pair):
-                if not (hypotheses.crowded(by_features) and hypotheses.crowded(fit)):
+            if polishing.same(fit.pose, by_features.pose, pair):
+                if not (polishing.crowded(by_features) and polishing.crowded(fit)):
                     kept.append(fit)
             elif not belief.implausible(fit, self.way_metres, self.options):
                 kept.append(fit)

@@ -1,90 +1,36 @@
-"""Motions that may explain two frames: found on the pixels, refined, and weighed by them."""
+"""Motions that may explain two frames: found on the pixels and weighed against one another."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamcli.core.geometry import Pose2, wrap_angle
+from slamcli.comparison import polishing
+from slamcli.core.geometry import Pose2
 from slamcli.stages import dense
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from slamcli.comparison.polishing import Hypothesis, Pair
     from slamcli.core.config import MapperOptions
-    from slamcli.core.records import Calibration, DenseLevel
+    from slamcli.core.records import Calibration
 
 # So many peaks of a search are followed up; a ridge along a line alone may hold several.
 _PEAKS = 10
 # What explains less than this share of what the best peak does, on the coarsest level, is no rival
 # on finer ones either.
 _LEAST_SHARE_OF_BEST = 0.4
-# Two motions nearer than this, in pixels of the coarsest level and in radians, are one.
-_SAME_PIXELS = 3.0
-_SAME_RADIANS = 0.05
 # Fits of one motion with about the same evidence differ in what they let the camera do besides.
 _EQUAL_SHARE = 0.95
-# A rigid motion that correlates so well needs no rocking camera to explain it; where it does not,
-# the rocking is believed when it leaves less than this share unexplained. On a floor of a few lines
-# a line's end may be brought to fit by a tilt as well as by the motion.
-_STEADY_CORRELATION = 0.95
-_CONTRAST_HANDICAP = 0.0475
-_ROCKING_SHARE = 0.6
-# A robot may rock so much more than its tilt sigma says, where the pixels ask for it.
-_ROCKING_TIMES = 5.0
-# Of the patches that tell.
-_MOSTLY = 0.5
-_MOST_STRAY_PIXELS, _MOST_STRAY_RADIANS = 2.0, math.radians(0.5)
 _OPEN_SIGMAS = 4.0
 # Of the patches, for a motion; so many times those for its rival. Two wrong motions on a worn floor
 # each have about as many for them; on one whose tiles are all alike noise speaks for a tenth.
 _LEAST_PREFERENCE, _PREFERENCE_TIMES = 0.15, 6.0
 # By so much more must views be alike on the coarsest level, whose few pixels agree by chance.
 _COARSE_HANDICAP = 0.2
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pair:
-    """The pyramids of two views of one kind.
-
-    Attributes
-    ----------
-    a, b : tuple of DenseLevel
-    far : bool
-        Whether they reach beyond the range of the features.
-    """
-
-    a: tuple[DenseLevel, ...]
-    b: tuple[DenseLevel, ...]
-    far: bool = False
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Hypothesis:
-    """A motion that may become a link, and what the pixels say of it.
-
-    Attributes
-    ----------
-    pose : Pose2
-        ``a_from_b``.
-    covariance : (3, 3) float64 or None
-        None where the pixels do not hold the motion.
-    agreed : Agreement
-    evidence, correlation : float
-        Of the contrast-normalised pixels.
-    view_a_from_view_b : (3, 3) float64
-        The motion as the views show it, each with its frame's tilt.
-    """
-
-    pose: Pose2
-    covariance: NDArray[np.float64] | None
-    agreed: dense.Agreement
-    evidence: float
-    correlation: float
-    view_a_from_view_b: NDArray[np.float64]
 
 
 def search(
@@ -96,7 +42,7 @@ def search(
     )
     # A start that the refinement leaves far behind is a slope of the evidence, not a peak.
     polished = [
-        polish(pair, start, None, calibration, options)
+        polishing.polish(pair, start, None, calibration, options)
         for start in _follow_up(pair, found, calibration, options)
     ]
     return found, [fit for fit in polished if fit.covariance is not None]
@@ -116,181 +62,11 @@ def _follow_up(
         pose, shown = peak.a_from_b, peak.a_from_b.matrix
         if refined is not None:
             pose, shown = refined.a_from_b, refined.view_a_from_view_b
-        if not any(same(other.a_from_b, pose, pair) for other in peaks):
+        if not any(polishing.same(other.a_from_b, pose, pair) for other in peaks):
             peaks.append(dense.evidence(coarse_a[0], coarse_b[0], pose, shown))
     peaks.sort(key=lambda peak: -peak.evidence)
     kept = [p for p in peaks if p.evidence >= _LEAST_SHARE_OF_BEST * peaks[0].evidence]
     return [peak.a_from_b for peak in kept[: options.most_hypotheses]]
-
-
-def polish(
-    pair: Pair,
-    pose: Pose2,
-    covariance: NDArray[np.float64] | None,
-    calibration: Calibration,
-    options: MapperOptions,
-) -> Hypothesis:
-    """Refine a motion on the pixels, where that makes them agree better, and judge it."""
-    plain = None
-    if covariance is not None and options.refine and not pair.far:
-        # Features come within a pixel of the finest levels.
-        refined = dense.refine(pair.a[:2], pair.b[:2], pose, calibration, 0.0)
-        if refined is not None:
-            plain = _judge_refined(pair, refined)
-            near = not _strayed(pose, plain.pose, pair)
-            if near and _explains(plain) and _holds(plain, covariance, calibration, options):
-                # As on most floors: there is nothing left to ask the start about.
-                return plain
-    start = judge(pair, pose, covariance, pose.matrix)
-    if not options.refine and covariance is not None:
-        return start
-    return _polished(pair, start, plain, calibration, options)
-
-
-def _polished(
-    pair: Pair,
-    start: Hypothesis,
-    plain: Hypothesis | None,
-    calibration: Calibration,
-    options: MapperOptions,
-) -> Hypothesis:
-    """Return the best of a start and its refinements, the camera held still and let rock.
-
-    Parameters
-    ----------
-    pair : Pair
-    start : Hypothesis
-        Without a covariance when a search or a guess led to it.
-    plain : Hypothesis or None
-        Its refinement with all of the floor and no rocking, if it was made.
-    calibration : Calibration
-    options : MapperOptions
-    """
-    searched = start.covariance is None
-    levels_a, levels_b = pair.a, pair.b
-    held = False
-    if not searched:
-        levels_a, levels_b = pair.a[:2], pair.b[:2]
-        held = crowded(start)
-        if held:
-            # Most of what is seen stands or walks, and would pull the motion to its own.
-            levels_a = dense.agreeing(levels_a, levels_b[0], start.view_a_from_view_b)
-    best = start
-    steady = math.radians(options.tilt_sigma_degrees)
-    # Among bare lines, where no features are, a large tilt passes for a turn. What lies far off
-    # shifts by much for a little tilt, and is never compared without.
-    tilts = (0.0, steady) if searched else (0.0, steady, _ROCKING_TIMES * steady)
-    for tilt in tilts[1:] if pair.far else tilts:
-        if tilt > 0.0 and best.covariance is not None and _steady(best):
-            break
-        # Each from where the features or the search led: without the rocking that there is, the
-        # refinement may have gone astray.
-        fit, refined = plain if tilt == 0.0 and not held else None, None
-        if fit is None:
-            refined = dense.refine(
-                levels_a, levels_b, start.pose, calibration, tilt, searched=searched
-            )
-            if refined is None:
-                continue
-            fit = _judge_refined(pair, refined)
-        # A camera that rocks makes most of the floor disagree too, until it is allowed for.
-        if held and crowded(fit) and _strayed(start.pose, fit.pose, pair):
-            continue
-        if best.covariance is None or (
-            _better(fit, best, rocking=tilt > 0.0)
-            and _holds(fit, best.covariance, calibration, options)
-        ):
-            best = fit
-            if held and refined is not None and not crowded(best):
-                # It was the rocking that made the floor disagree: now all of it may speak.
-                held, levels_a = False, pair.a[:2]
-                best = _by_all_of_the_floor(pair, best, refined, calibration, tilt)
-    return best
-
-
-def _by_all_of_the_floor(
-    pair: Pair,
-    fit: Hypothesis,
-    told: dense.Refinement,
-    calibration: Calibration,
-    tilt_sigma_radians: float,
-) -> Hypothesis:
-    """Refine a motion that the agreeing patches alone told; return the better one."""
-    refined = dense.refine(
-        pair.a[:2], pair.b[:2], fit.pose, calibration, tilt_sigma_radians, rocked=told
-    )
-    if refined is None:
-        return fit
-    whole = _judge_refined(pair, refined)
-    return whole if whole.evidence > fit.evidence else fit
-
-
-def crowded(fit: Hypothesis) -> bool:
-    """Return whether most of what tells something stands or walks on the floor."""
-    return fit.agreed.confirmed < _MOSTLY
-
-
-def _strayed(start: Pose2, pose: Pose2, pair: Pair) -> bool:
-    """Return whether what stands or walks pulled a motion away from what features say."""
-    moved = start.inverse() @ pose
-    most = _MOST_STRAY_PIXELS * pair.a[0].metres_per_pixel
-    return moved.translation_length > most or abs(moved.theta) > _MOST_STRAY_RADIANS
-
-
-def _holds(
-    fit: Hypothesis,
-    other: NDArray[np.float64],
-    calibration: Calibration,
-    options: MapperOptions,
-) -> bool:
-    """Return whether the pixels hold a motion in every direction, or no less than another is."""
-    least = (options.max_sigma_share * calibration.max_range_metres) ** 2
-    return widest_variance(fit) <= max(least, _widest(other))
-
-
-def widest_variance(fit: Hypothesis) -> float:
-    """Return the variance of the motion in the direction in which it is known worst."""
-    assert fit.covariance is not None
-    return _widest(fit.covariance)
-
-
-def _widest(covariance: NDArray[np.float64]) -> float:
-    return float(np.linalg.eigvalsh(covariance[:2, :2])[1])
-
-
-def leads_to(pair: Pair, guess: Pose2, fit: Hypothesis) -> bool:
-    """Return whether a guess, refined, would be no other motion than a fit that explains all."""
-    return _explains(fit) and same(fit.pose, guess, pair)
-
-
-def _explains(fit: Hypothesis) -> bool:
-    """Return whether a fit leaves no camera that rocks and no crowd of legs to be asked about."""
-    return _steady(fit) and not crowded(fit)
-
-
-def _steady(fit: Hypothesis) -> bool:
-    """Return whether no rocking is needed; on a bare floor noise hides it but from the contrast."""
-    alike = max(fit.correlation, fit.agreed.correlation - _CONTRAST_HANDICAP)
-    return alike >= _STEADY_CORRELATION
-
-
-def sharpen(
-    near: Pair, fit: Hypothesis, calibration: Calibration, options: MapperOptions
-) -> Hypothesis:
-    """Refine what the far pixels told on the near ones too, where those share enough of the floor.
-
-    The far pixels' evidence stays: they are what told this motion from others.
-    """
-    assert fit.covariance is not None
-    tilt = math.radians(options.tilt_sigma_degrees)
-    known = dense.Known(fit.pose, fit.covariance)
-    refined = dense.refine(near.a[:2], near.b[:2], fit.pose, calibration, tilt, known)
-    if refined is None:
-        return fit
-    sharper = _judge_refined(near, refined)
-    if sharper.agreed.overlap < options.min_overlap:
-        return fit
-    return replace(sharper, evidence=fit.evidence, correlation=fit.correlation)
 
 
 def repeated(
@@ -305,8 +81,8 @@ def repeated(
     for x, y in (*repeats, *-repeats):
         start = fit.pose @ Pose2(float(x), float(y))
         refined = dense.refine(pair.a[:2], pair.b[:2], start, calibration, 0.0)
-        if refined is not None and not same(refined.a_from_b, fit.pose, pair):
-            found.append(_judge_refined(pair, refined))
+        if refined is not None and not polishing.same(refined.a_from_b, fit.pose, pair):
+            found.append(polishing.judge_refined(pair, refined))
     return [rival for rival in found if rival.agreed.overlap >= options.min_overlap]
 
 
@@ -334,25 +110,6 @@ def stands_out(pair: Pair, fit: Hypothesis, rival: Hypothesis) -> bool:
     return pro >= _LEAST_PREFERENCE and contra <= pro / _PREFERENCE_TIMES
 
 
-def judge(
-    pair: Pair,
-    pose: Pose2,
-    covariance: NDArray[np.float64] | None,
-    shown: NDArray[np.float64],
-) -> Hypothesis:
-    """Return what the pixels say of one motion."""
-    agreed = dense.agreement(pair.a[0], pair.b[0], shown)
-    # The floor's own fine texture outweighs, pixel by pixel, what large things that stand on it do.
-    fine = dense.evidence(pair.a[0], pair.b[0], pose, shown)
-    middle = dense.evidence(pair.a[1], pair.b[1], pose, shown)
-    correlation = max(fine.correlation, middle.correlation)
-    return Hypothesis(pose, covariance, agreed, fine.evidence, correlation, shown)
-
-
-def _judge_refined(pair: Pair, refined: dense.Refinement) -> Hypothesis:
-    return judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
-
-
 def likeness(pair: Pair, fit: Hypothesis) -> float:
     """Return how like the views are: on a bare floor the camera's noise hides it but coarsely."""
     coarse = dense.evidence(pair.a[-1], pair.b[-1], fit.pose, fit.view_a_from_view_b).correlation
@@ -363,26 +120,14 @@ def distinct(fits: list[Hypothesis], pair: Pair) -> list[Hypothesis]:
     """Return the motions, best first, each once: as it is known best among equals."""
     kept: list[Hypothesis] = []
     for fit in sorted(fits, key=lambda fit: -fit.evidence):
-        place = next((n for n, k in enumerate(kept) if same(k.pose, fit.pose, pair)), None)
+        place = next(
+            (n for n, k in enumerate(kept) if polishing.same(k.pose, fit.pose, pair)), None
+        )
         if place is None:
             kept.append(fit)
         elif fit.evidence > _EQUAL_SHARE * kept[place].evidence and _surer(fit, kept[place]):
             kept[place] = fit
     return kept
-
-
-def same(first: Pose2, second: Pose2, pair: Pair) -> bool:
-    """Return whether two motions are one, as far as the coarsest level tells."""
-    apart = first.inverse() @ second
-    near = _SAME_PIXELS * pair.a[-1].metres_per_pixel
-    return apart.translation_length < near and abs(wrap_angle(apart.theta)) < _SAME_RADIANS
-
-
-def _better(fit: Hypothesis, other: Hypothesis, *, rocking: bool) -> bool:
-    """Return whether a refined fit agrees better; one that bends the floor must do so by far."""
-    if not rocking:
-        return fit.evidence > other.evidence
-    return 1.0 - fit.correlation < _ROCKING_SHARE * (1.0 - other.correlation)
 
 
 def _surer(fit: Hypothesis, other: Hypothesis) -> bool:

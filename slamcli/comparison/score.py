@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamcli.comparison import hypotheses
+from slamcli.comparison import polishing
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from slamcli.comparison.hypotheses import Hypothesis, Pair
+    from slamcli.comparison.polishing import Hypothesis, Pair
     from slamcli.core.records import Alignment
 
 EVIDENCE = (
@@ -64,10 +64,10 @@ def evidence(
     """
     agreed = fit.agreed
     inliers = math.log1p(alignment.inlier_count) / math.log1p(_MANY_INLIERS)
-    alike = alignment.pose is not None and hypotheses.same(alignment.pose, fit.pose, pair)
+    alike = alignment.pose is not None and polishing.same(alignment.pose, fit.pose, pair)
     sharpness = 0.0
     if fit.covariance is not None:
-        widest = math.sqrt(hypotheses.widest_variance(fit))
+        widest = math.sqrt(polishing.widest_variance(fit))
         share = max(widest / range_metres, 1e-12)
         sharpness = min(max(math.log(share) / math.log(_SHARP_SHARE), 0.0), 1.0)
     return np.array(
