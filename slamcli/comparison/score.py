@@ -32,7 +32,7 @@ EVIDENCE = (
     "sharpness",
     "searched far and wide",
 )
-WEIGHTS = np.array([-2.67, 0.27, 2.90, 2.67, -1.60, 5.67, -0.32, -3.10, 1.33, 0.0])
+WEIGHTS = np.array([-2.05, 2.07, 2.00, 1.00, 1.48, 5.10, -2.07, -1.49, 2.10, -2.61])
 # So many inliers, and a motion known to such a share of the camera's range, count as one.
 _MANY_INLIERS = 1000.0
 _SHARP_SHARE = 1e-4
