@@ -3,9 +3,8 @@
 Run: python benchmarks/score.py [--floors a,b] [--disturbances c,d] [--frames N] [--workers N].
 Every comparison that the mapper makes on the drives of `robustness.py`, with another seed, counts,
 and frames beside the next one, and beside others that show other floor, with no word of how the
-robot moved. Printed: the weights, in the order of
-`slamcli.comparison.score.EVIDENCE`, and how often motions of each score are right when the score is
-fitted to all other floors.
+robot moved. Printed: the weights, in the order of `slamcli.comparison.score.EVIDENCE`, and how
+often motions of each score are right when the score is fitted to all other floors.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ def polish(
 ) -> Hypothesis:
     """Refine a motion on the pixels, where that makes them agree better, and judge it."""
     plain = None
-    if covariance is not None and options.refine and not pair.far:
+    if covariance is not None and options.refine:
         # Features come within a pixel of the finest levels.
         refined = dense.refine(pair.a[:2], pair.b[:2], pose, calibration, 0.0)
         if refined is not None:

@@ -69,10 +69,10 @@ def agreeing(
 
     A value between the lowest and the highest of the reference around a cell agrees with it: so
     much do poses and blur displace an edge. Where two thirds of three views or more agree, that is
-    decided; elsewhere a view is believed as it is where its own picture goes on: a leg that is
-    found out near the robot is one as far as it reaches. What that leaves undecided is a thing in
-    the view that ends where the views begin to differ, while another's floor goes on (as what was
-    left behind is told from what was taken away: San Miguel and Martinez, AVSS 2008); what stays
+    decided. Elsewhere the thing is in the view that ends where the views begin to differ, while
+    another's floor goes on (as what was left behind is told from what was taken away: San Miguel
+    and Martinez, AVSS 2008). Where that does not tell, a view is believed as it is where its own
+    picture goes on: a leg that is found out near the robot is one as far as it reaches. What stays
     undecided goes to the sharper view. Where no view is left, the nearest to the reference is.
 
     Parameters
@@ -132,9 +132,10 @@ def _agreeing(
     open_cells = open_cells & ~told
     votes = np.zeros(count.shape)
     for view, sees in zip(differs, seen, strict=True):
-        if (open_cells & sees).any():
+        undecided = open_cells & sees
+        if undecided.any():
             for_floor = contested & decided & sees & ~view
-            vote = _vote(open_cells & sees, for_floor, decided & view)
+            vote = _vote(undecided, for_floor, decided & view)
             # To find out one view is to clear those that differ from it.
             votes += np.where(view, vote, -vote)
     differs ^= seen & open_cells & (votes < 0)
@@ -218,14 +219,14 @@ def _settle_by_outline(
                 for view, sees in zip(cells, seen, strict=True)
             ]
         )
-        if not np.count_nonzero(np.isfinite(off)) > 1:
+        known = np.isfinite(off)
+        if np.count_nonzero(known) < 2:
             continue
         least = float(np.nanmin(off))
         things = off > max(_OUTLINE_TIMES * least, least + _OUTLINE_GRAY)
         if things.any():
-            told = np.isfinite(off)[:, None, None] & part & seen[:, rows, columns]
-            here = differs[:, rows, columns]
-            np.copyto(here, things[:, None, None], where=told)
+            told = known[:, None, None] & part & seen[:, rows, columns]
+            np.copyto(differs[:, rows, columns], things[:, None, None], where=told)
             settled[rows, columns] |= part
     return settled
 
