@@ -68,6 +68,7 @@ def compare(
         by_features = polishing.polish(
             near, alignment.pose, alignment.covariance, calibration, options
         )
+        assert by_features is not None
         if not options.dense or belief.convincing(alignment, by_features, options):
             doubt = belief.implausible(
                 by_features, case.way_metres, options, beside_features=options.dense
@@ -82,7 +83,7 @@ def compare(
         fits = []
         if by_features is None or not polishing.leads_to(near, guess, by_features):
             fit = polishing.polish(near, guess, None, calibration, options)
-            fits = [fit] if fit.covariance is not None else []
+            fits = [] if fit is None else [fit]
         return case.choose(near, fits, by_features, None)
     assert window is not None
     window = replace(window, way_metres=case.way_metres)

@@ -150,8 +150,6 @@ def repeating(fit: Hypothesis, like: list[Hypothesis], options: MapperOptions) -
 
 def undetermined(fit: Hypothesis, range_metres: float, options: MapperOptions) -> str:
     """Return why a motion is not known in every direction."""
-    if fit.covariance is None:
-        return "the pixels do not determine the motion"
     variances, directions = np.linalg.eigh(fit.covariance[:2, :2])
     sigma, turn_sigma = math.sqrt(float(variances[1])), math.sqrt(float(fit.covariance[2, 2]))
     if sigma <= options.max_sigma_share * range_metres:

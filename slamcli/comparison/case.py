@@ -209,7 +209,7 @@ class Case:
             evidence = score.evidence(
                 fit, self.alignment, rival, self.searched_metres, range_metres, pair
             )
-        if fit is not None and fit.covariance is not None and (partly or not doubt):
+        if fit is not None and (partly or not doubt):
             assert evidence is not None
             told = Link(
                 self.keyframe.index,

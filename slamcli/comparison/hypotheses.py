@@ -45,7 +45,7 @@ def search(
         polishing.polish(pair, start, None, calibration, options)
         for start in _follow_up(pair, found, calibration, options)
     ]
-    return found, [fit for fit in polished if fit.covariance is not None]
+    return found, [fit for fit in polished if fit is not None]
 
 
 def _follow_up(
@@ -88,8 +88,6 @@ def repeated(
 
 def elsewhere(fits: list[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
     """Leave out what differs from the best only where it is known least, as along a line."""
-    if best.covariance is None:
-        return fits
     variances, directions = np.linalg.eigh(best.covariance[:2, :2])
     most_across = _OPEN_SIGMAS * math.sqrt(float(variances[0]))
     most_turn = _OPEN_SIGMAS * math.sqrt(float(best.covariance[2, 2]))
@@ -131,6 +129,4 @@ def distinct(fits: list[Hypothesis], pair: Pair) -> list[Hypothesis]:
 
 
 def _surer(fit: Hypothesis, other: Hypothesis) -> bool:
-    assert fit.covariance is not None
-    assert other.covariance is not None
     return bool(np.linalg.det(fit.covariance) < np.linalg.det(other.covariance))

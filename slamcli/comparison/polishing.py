@@ -58,8 +58,7 @@ class Hypothesis:
     ----------
     pose : Pose2
         ``a_from_b``.
-    covariance : (3, 3) float64 or None
-        None where the pixels do not hold the motion.
+    covariance : (3, 3) float64
     agreed : Agreement
     evidence, correlation : float
         Of the contrast-normalised pixels.
@@ -68,7 +67,7 @@ class Hypothesis:
     """
 
     pose: Pose2
-    covariance: NDArray[np.float64] | None
+    covariance: NDArray[np.float64]
     agreed: dense.Agreement
     evidence: float
     correlation: float
@@ -81,10 +80,27 @@ def polish(
     covariance: NDArray[np.float64] | None,
     calibration: Calibration,
     options: MapperOptions,
-) -> Hypothesis:
-    """Refine a motion on the pixels, where that makes them agree better, and judge it."""
+) -> Hypothesis | None:
+    """Refine a motion on the pixels, where that makes them agree better, and judge it.
+
+    Parameters
+    ----------
+    pair : Pair
+    pose : Pose2
+    covariance : (3, 3) float64 or None
+        As features tell; None for what a search or a guess led to.
+    calibration : Calibration
+    options : MapperOptions
+
+    Returns
+    -------
+    Hypothesis or None
+        None where neither features nor pixels hold the motion.
+    """
+    if covariance is None:
+        return _polished(pair, pose, None, None, calibration, options)
     plain = None
-    if covariance is not None and options.refine:
+    if options.refine:
         # Features come within a pixel of the finest levels.
         refined = dense.refine(pair.a[:2], pair.b[:2], pose, calibration, 0.0)
         if refined is not None:
@@ -94,34 +110,35 @@ def polish(
                 # As on most floors: there is nothing left to ask the start about.
                 return plain
     start = judge(pair, pose, covariance, pose.matrix)
-    if not options.refine and covariance is not None:
+    if not options.refine:
         return start
-    return _polished(pair, start, plain, calibration, options)
+    return _polished(pair, pose, start, plain, calibration, options)
 
 
 def _polished(
     pair: Pair,
-    start: Hypothesis,
+    pose: Pose2,
+    start: Hypothesis | None,
     plain: Hypothesis | None,
     calibration: Calibration,
     options: MapperOptions,
-) -> Hypothesis:
+) -> Hypothesis | None:
     """Return the best of a start and its refinements, the camera held still and let rock.
 
     Parameters
     ----------
     pair : Pair
-    start : Hypothesis
-        Without a covariance when a search or a guess led to it.
+    pose : Pose2
+    start : Hypothesis or None
+        Of that pose; None when a search or a guess led to it.
     plain : Hypothesis or None
         Its refinement with all of the floor and no rocking, if it was made.
     calibration : Calibration
     options : MapperOptions
     """
-    searched = start.covariance is None
     levels_a, levels_b = pair.a, pair.b
     held = False
-    if not searched:
+    if start is not None:
         levels_a, levels_b = pair.a[:2], pair.b[:2]
         held = crowded(start)
         if held:
@@ -131,24 +148,24 @@ def _polished(
     steady = math.radians(options.tilt_sigma_degrees)
     # Among bare lines, where no features are, a large tilt passes for a turn. What lies far off
     # shifts by much for a little tilt, and is never compared without.
-    tilts = (0.0, steady) if searched else (0.0, steady, _ROCKING_TIMES * steady)
+    tilts = (0.0, steady) if start is None else (0.0, steady, _ROCKING_TIMES * steady)
     for tilt in tilts[1:] if pair.far else tilts:
-        if tilt > 0.0 and best.covariance is not None and _steady(best):
+        if tilt > 0.0 and best is not None and _steady(best):
             break
         # Each from where the features or the search led: without the rocking that there is, the
         # refinement may have gone astray.
         fit, refined = plain if tilt == 0.0 and not held else None, None
         if fit is None:
             refined = dense.refine(
-                levels_a, levels_b, start.pose, calibration, tilt, searched=searched
+                levels_a, levels_b, pose, calibration, tilt, searched=start is None
             )
             if refined is None:
                 continue
             fit = judge_refined(pair, refined)
         # A camera that rocks makes most of the floor disagree too, until it is allowed for.
-        if held and crowded(fit) and _strayed(start.pose, fit.pose, pair):
+        if held and crowded(fit) and _strayed(pose, fit.pose, pair):
             continue
-        if best.covariance is None or (
+        if best is None or (
             _better(fit, best, rocking=tilt > 0.0)
             and _holds(fit, best.covariance, calibration, options)
         ):
@@ -202,7 +219,6 @@ def _holds(
 
 def widest_variance(fit: Hypothesis) -> float:
     """Return the variance of the motion in the direction in which it is known worst."""
-    assert fit.covariance is not None
     return _widest(fit.covariance)
 
 
@@ -233,7 +249,6 @@ def sharpen(
 
     The far pixels' evidence stays: they are what told this motion from others.
     """
-    assert fit.covariance is not None
     tilt = math.radians(options.tilt_sigma_degrees)
     known = dense.Known(fit.pose, fit.covariance)
     refined = dense.refine(near.a[:2], near.b[:2], fit.pose, calibration, tilt, known)
@@ -248,7 +263,7 @@ def sharpen(
 def judge(
     pair: Pair,
     pose: Pose2,
-    covariance: NDArray[np.float64] | None,
+    covariance: NDArray[np.float64],
     shown: NDArray[np.float64],
 ) -> Hypothesis:
     """Return what the pixels say of one motion."""

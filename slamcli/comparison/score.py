@@ -65,11 +65,8 @@ def evidence(
     agreed = fit.agreed
     inliers = math.log1p(alignment.inlier_count) / math.log1p(_MANY_INLIERS)
     alike = alignment.pose is not None and polishing.same(alignment.pose, fit.pose, pair)
-    sharpness = 0.0
-    if fit.covariance is not None:
-        widest = math.sqrt(polishing.widest_variance(fit))
-        share = max(widest / range_metres, 1e-12)
-        sharpness = min(max(math.log(share) / math.log(_SHARP_SHARE), 0.0), 1.0)
+    share = max(math.sqrt(polishing.widest_variance(fit)) / range_metres, 1e-12)
+    sharpness = min(max(math.log(share) / math.log(_SHARP_SHARE), 0.0), 1.0)
     return np.array(
         [
             1.0,
