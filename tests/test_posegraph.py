@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -134,20 +135,42 @@ def test_false_loops_are_switched_off_and_both_solvers_agree() -> None:
         )
 
 
-def test_the_sigmas_tell_the_truth() -> None:
-    """The normalised error squared averages to its 3 dimensions, over many worlds."""
+def consistency(truth: list[Pose2], claimed: float, worlds: int, watched: tuple[int, ...]) -> float:
+    """Mean normalised squared error of some poses; links claim so many times their variances."""
     errors = []
-    truth = lawnmower(24, 8)
-    for seed in range(50):
+    for seed in range(worlds):
         initial, links = measured(truth, 8, np.random.default_rng(seed))
+        links = [replace(link, covariance=claimed * link.covariance) for link in links]
         solution = posegraph.solve(initial, links, solver="scipy")
-        for index in (11, 23):
+        for index in watched:
             error = truth[index].inverse() @ solution.poses[index]
             vector = np.array([error.x, error.y, error.theta])
             errors.append(vector @ np.linalg.solve(solution.covariances[index], vector))
+    return float(np.mean(errors))
+
+
+def test_the_sigmas_tell_the_truth() -> None:
+    """The normalised error squared averages to its 3 dimensions, over many worlds."""
     # Half as many as counted, as if both of one world were alike.
-    band = 1.96 * math.sqrt(2.0 * 3.0 / (len(errors) / 2))
-    assert abs(np.mean(errors) - 3.0) < band
+    band = 1.96 * math.sqrt(2.0 * 3.0 / 50)
+    assert abs(consistency(lawnmower(24, 8), 1.0, 50, (11, 23)) - 3.0) < band
+
+
+@pytest.mark.parametrize(("claimed", "alone"), [(9.0, 0.33), (0.4, 7.5)])
+def test_how_links_agree_corrects_what_they_claim(claimed: float, alone: float) -> None:
+    """The sigmas of poses are nearly honest where all links claim other variances than theirs."""
+    told = consistency(lawnmower(80, 8), claimed, 12, (23, 47, 71))
+    assert abs(math.log(told / 3.0)) < 0.35 * abs(math.log(alone / 3.0))
+
+
+def test_that_a_stretch_agrees_does_not_make_it_surer() -> None:
+    """Steps of one stretch may share an error that none of them shows; contradictions show."""
+    truth = [Pose2(0.1 * index) for index in range(60)]
+    initial, links = measured(truth, len(truth), np.random.default_rng(0))
+    exact = [replace(link, a_from_b=truth[link.a].inverse() @ truth[link.b]) for link in links]
+    assert posegraph.solve(initial, exact).variance_factor == 1.0
+    bold = [replace(link, covariance=0.25 * link.covariance) for link in links]
+    assert posegraph.solve(initial, bold).variance_factor == pytest.approx(4.0, rel=0.3)
 
 
 def test_what_is_known_across_a_slanting_line_alone_holds_in_both_solvers() -> None:
@@ -180,7 +203,7 @@ def test_marginals_are_those_of_gtsam() -> None:
     for index, pose in solution.poses.items():
         values.insert(index, gtsam.Pose2(pose.x, pose.y, pose.theta))
     for one in links:
-        noise = gtsam.noiseModel.Gaussian.Covariance(one.covariance)
+        noise = gtsam.noiseModel.Gaussian.Covariance(solution.variance_factor * one.covariance)
         motion = gtsam.Pose2(one.a_from_b.x, one.a_from_b.y, one.a_from_b.theta)
         graph.add(gtsam.BetweenFactorPose2(one.a, one.b, motion, noise))
     marginals = gtsam.Marginals(graph, values)

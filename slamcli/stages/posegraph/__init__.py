@@ -3,8 +3,9 @@
 A pose graph over SE(2): motions between frames, with headings of a compass and places of GPS, the
 former's offset and the latter's frame and lever arm among the unknowns. Loops and the other senses
 are suspects, and so are steps that contradict their neighbours: graduated non-convexity switches
-off those that the rest contradicts. Links alone are solved by GTSAM (Dellaert and Kaess, Factor
-Graphs for Robot Perception, 2017) where it is installed, all else by scipy.
+off those that the rest contradicts; how well the rest agrees tells how far to trust what links say
+of their errors. Links alone are solved by GTSAM (Dellaert and Kaess, Factor Graphs for Robot
+Perception, 2017) where it is installed, all else by scipy.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from slamcli.stages.posegraph.build import build, first_state
 from slamcli.stages.posegraph.components import Sets, components, spanning
 from slamcli.stages.posegraph.factors import Heading, Place, SenseOffsets, Solution
 from slamcli.stages.posegraph.marginals import diagonal_blocks
+from slamcli.stages.posegraph.variance import variance_factor
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -48,6 +50,8 @@ __all__ = [
 ]
 
 _TRUSTED = ("step", "odometry")
+# Links that two pictures tell in all directions.
+_SEEN = ("step", "loop")
 _FUSE_STEPS = 4
 # With so few outliers among the readings, none can pull the rest far.
 _NEARLY_ALL = 0.9
@@ -101,7 +105,9 @@ def solve(
     trusted = np.zeros(len(problem), np.bool_)
     trusted[: len(links)] = [link.kind in _TRUSTED for link in links]
     state, kept = _agreed(problem, first, trusted, module)
-    return _solution(problem, state, kept, frames)
+    seen = np.flatnonzero(kept[: len(links)] & [link.kind in _SEEN for link in links])
+    loops = sum(links[number].kind == "loop" for number in seen.tolist())
+    return _solution(problem, state, kept, frames, _factor(problem, state, seen, loops), seen)
 
 
 def _agreed(
@@ -185,11 +191,26 @@ def _spanning(problem: Problem, count: int, order: NDArray[np.int64]) -> tuple[S
     return sets, [motion for motion, a, b in ends if sets.merge(a, b)]
 
 
+def _factor(problem: Problem, state: State, seen: NDArray[np.int64], loops: int) -> float:
+    """Return the variance factor of links (by their numbers) that pictures tell of."""
+    _, tree = _spanning(problem, len(state.poses), seen)
+    errors = problem.squared_errors(state)[seen]
+    return variance_factor(errors, len(seen) - len(tree), loops)
+
+
 def _solution(
-    problem: Problem, state: State, kept: NDArray[np.bool_], frames: Sequence[int]
+    problem: Problem,
+    state: State,
+    kept: NDArray[np.bool_],
+    frames: Sequence[int],
+    factor: float,
+    scaled: NDArray[np.int64],
 ) -> Solution:
+    """Return the solution, its covariances by those of the scaled links times the factor."""
     count = len(frames)
-    equations = problem.linearise(state, kept.astype(np.float64))
+    weights = kept.astype(np.float64)
+    weights[scaled] /= factor
+    equations = problem.linearise(state, weights)
     sizes = np.array([3] * count + [1, 3, 2])
     *blocks, compass, datum, _lever = diagonal_blocks(*equations.entries, sizes)
     off = np.flatnonzero(~kept)
@@ -209,6 +230,7 @@ def _solution(
             turn @ datum @ turn.T,
             (float(state.lever_arm[0]), float(state.lever_arm[1])),
         ),
+        factor,
     )
 
 

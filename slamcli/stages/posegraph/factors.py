@@ -97,6 +97,8 @@ class Solution:
         The same of the compass's and the GPS's readings.
     offsets : SenseOffsets
         Without meaning where there was no reading.
+    variance_factor : float
+        What the covariances of links between pictures were multiplied by for the poses' ones.
     """
 
     poses: dict[int, Pose2]
@@ -105,3 +107,4 @@ class Solution:
     headings_off: tuple[int, ...]
     places_off: tuple[int, ...]
     offsets: SenseOffsets
+    variance_factor: float
