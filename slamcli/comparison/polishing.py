@@ -21,12 +21,14 @@ if TYPE_CHECKING:
 # Two motions nearer than this, in pixels of the coarsest level and in radians, are one.
 _SAME_PIXELS = 3.0
 _SAME_RADIANS = 0.05
-# A rigid motion that correlates so well needs no rocking camera to explain it; where it does not,
-# the rocking is believed when it leaves less than this share unexplained. On a floor of a few lines
-# a line's end may be brought to fit by a tilt as well as by the motion.
+# A rigid motion that correlates so well needs no rocking camera to explain it, unless what is left
+# over asks for one. Where it does not, the rocking is believed when it leaves less than the first
+# share unexplained: on a floor of a few lines a line's end may be brought to fit by a tilt as well
+# as by the motion. Where what is left over asks for it, the second is enough: of noise and of blur
+# it explains nothing.
 _STEADY_CORRELATION = 0.95
+_ROCKING_SHARE, _SUSPECTED_SHARE = 0.6, 0.97
 _CONTRAST_HANDICAP = 0.0475
-_ROCKING_SHARE = 0.6
 # A robot may rock so much more than its tilt sigma says, where the pixels ask for it.
 _ROCKING_TIMES = 5.0
 # Of the patches that tell.
@@ -64,6 +66,8 @@ class Hypothesis:
         Of the contrast-normalised pixels.
     view_a_from_view_b : (3, 3) float64
         The motion as the views show it, each with its frame's tilt.
+    rocks : bool
+        Whether the pixels ask for a camera that rocks more than this motion allows for.
     """
 
     pose: Pose2
@@ -72,6 +76,12 @@ class Hypothesis:
     evidence: float
     correlation: float
     view_a_from_view_b: NDArray[np.float64]
+    rocks: bool = False
+
+    @property
+    def bent(self) -> bool:
+        """Whether it takes the camera to have rocked."""
+        return not np.array_equal(self.view_a_from_view_b, self.pose.matrix)
 
 
 def polish(
@@ -102,7 +112,14 @@ def polish(
     plain = None
     if options.refine:
         # Features come within a pixel of the finest levels.
-        refined = dense.refine(pair.a[:2], pair.b[:2], pose, calibration, 0.0)
+        refined = dense.refine(
+            pair.a[:2],
+            pair.b[:2],
+            pose,
+            calibration,
+            0.0,
+            suspected_tilt_radians=math.radians(options.tilt_sigma_degrees),
+        )
         if refined is not None:
             plain = judge_refined(pair, refined)
             near = not _strayed(pose, plain.pose, pair)
@@ -136,32 +153,38 @@ def _polished(
     calibration : Calibration
     options : MapperOptions
     """
-    levels_a, levels_b = pair.a, pair.b
-    held = False
-    if start is not None:
-        levels_a, levels_b = pair.a[:2], pair.b[:2]
-        held = crowded(start)
-        if held:
-            # Most of what is seen stands or walks, and would pull the motion to its own.
-            levels_a = dense.agreeing(levels_a, levels_b[0], start.view_a_from_view_b)
-    best = start
+    levels_a, levels_b, held = _spoken_for(pair, start)
+    best, rocked = start, None
     steady = math.radians(options.tilt_sigma_degrees)
-    # Among bare lines, where no features are, a large tilt passes for a turn. What lies far off
-    # shifts by much for a little tilt, and is never compared without.
-    tilts = (0.0, steady) if start is None else (0.0, steady, _ROCKING_TIMES * steady)
+    # What lies far off shifts by much for a little tilt, and is never compared without.
+    tilts = (0.0, steady, _ROCKING_TIMES * steady)
     for tilt in tilts[1:] if pair.far else tilts:
-        if tilt > 0.0 and best is not None and _steady(best):
+        # Among bare lines, where no features are, a large tilt passes for a turn.
+        asked_for = start is not None or (best is not None and best.bent and best.rocks)
+        if (tilt > 0.0 and best is not None and _steady(best)) or (tilt > steady and not asked_for):
             break
         # Each from where the features or the search led: without the rocking that there is, the
         # refinement may have gone astray.
         fit, refined = plain if tilt == 0.0 and not held else None, None
         if fit is None:
             refined = dense.refine(
-                levels_a, levels_b, pose, calibration, tilt, searched=start is None
+                levels_a,
+                levels_b,
+                pose if rocked is None else rocked.a_from_b,
+                calibration,
+                tilt,
+                searched=start is None,
+                rocked=rocked,
+                suspected_tilt_radians=steady,
             )
             if refined is None:
                 continue
             fit = judge_refined(pair, refined)
+        if tilt > 0.0 and best is not None and fit.correlation > best.correlation:
+            # A camera that rocks by more is found from where less of it led.
+            rocked = refined
+            if held:
+                levels_a = dense.agreeing(pair.a[:2], levels_b[0], fit.view_a_from_view_b)
         # A camera that rocks makes most of the floor disagree too, until it is allowed for.
         if held and crowded(fit) and _strayed(pose, fit.pose, pair):
             continue
@@ -175,6 +198,19 @@ def _polished(
                 held, levels_a = False, pair.a[:2]
                 best = _by_all_of_the_floor(pair, best, refined, calibration, tilt)
     return best
+
+
+def _spoken_for(
+    pair: Pair, start: Hypothesis | None
+) -> tuple[tuple[DenseLevel, ...], tuple[DenseLevel, ...], bool]:
+    """Return the levels that a start is refined on, and whether not all of the floor may speak."""
+    if start is None:
+        return pair.a, pair.b, False
+    levels_a, levels_b = pair.a[:2], pair.b[:2]
+    if not crowded(start):
+        return levels_a, levels_b, False
+    # Most of what is seen stands or walks, and would pull the motion to its own.
+    return dense.agreeing(levels_a, levels_b[0], start.view_a_from_view_b), levels_b, True
 
 
 def _by_all_of_the_floor(
@@ -239,7 +275,7 @@ def _explains(fit: Hypothesis) -> bool:
 def _steady(fit: Hypothesis) -> bool:
     """Return whether no rocking is needed; on a bare floor noise hides it but from the contrast."""
     alike = max(fit.correlation, fit.agreed.correlation - _CONTRAST_HANDICAP)
-    return alike >= _STEADY_CORRELATION
+    return alike >= _STEADY_CORRELATION and not fit.rocks
 
 
 def sharpen(
@@ -277,7 +313,8 @@ def judge(
 
 def judge_refined(pair: Pair, refined: dense.Refinement) -> Hypothesis:
     """Return what the pixels say of a refined motion."""
-    return judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
+    fit = judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
+    return replace(fit, rocks=refined.rocks)
 
 
 def same(first: Pose2, second: Pose2, pair: Pair) -> bool:
@@ -288,7 +325,14 @@ def same(first: Pose2, second: Pose2, pair: Pair) -> bool:
 
 
 def _better(fit: Hypothesis, other: Hypothesis, *, rocking: bool) -> bool:
-    """Return whether a refined fit agrees better; one that bends the floor must do so by far."""
+    """Return whether a refined fit agrees better.
+
+    One that bends the floor must do so by far; where the pixels ask for it, by less; and where
+    they ask for more of a bend that is there already, at all.
+    """
     if not rocking:
         return fit.evidence > other.evidence
-    return 1.0 - fit.correlation < _ROCKING_SHARE * (1.0 - other.correlation)
+    share = _ROCKING_SHARE
+    if other.rocks:
+        share = 1.0 if other.bent else _SUSPECTED_SHARE
+    return 1.0 - fit.correlation < share * (1.0 - other.correlation)

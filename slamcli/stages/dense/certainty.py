@@ -42,8 +42,8 @@ class Solved:
     jacobian : (N, K) float64
     pixels, points : (N, 2) float64
         In b's level and on its floor.
-    weight : (N,) float64
-        Of each residual, by what is left over.
+    residual, weight : (N,) float64
+        Before the step; by what is left over.
     prior : (K, K) float64
     """
 
@@ -51,6 +51,7 @@ class Solved:
     jacobian: NDArray[np.float64]
     pixels: NDArray[np.float64]
     points: NDArray[np.float64]
+    residual: NDArray[np.float64]
     weight: NDArray[np.float64]
     prior: NDArray[np.float64]
 

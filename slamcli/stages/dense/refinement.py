@@ -40,6 +40,13 @@ _LEAST_LEFT_SHARE = 0.03
 # Neighbouring residuals are not independent: interpolation and blur tie about this many together.
 _CORRELATED_PIXELS = 24.0
 _SYSTEMATIC_PIXELS = 0.02
+# Rocking is suspected where it would make the weighted squares fall by so much, and move a point
+# at the far end by so many pixels. Over plain lines a steady camera reaches either now and then.
+_LEAST_GAIN = 20.0
+_LEAST_CHANGE_PIXELS = 0.25
+# Pitch, roll and height of two frames that rock as expected make about six; what they have in
+# common hardly shows, and stays at nothing.
+_MOST_STRAIN = 6.0
 # A refinement that runs away from the fit that it started at, by so many pixels of the coarsest
 # level, has found something else. From a search, whose rotations are steps apart, a motion that
 # turns by no more than half a step may shift by such a share of what is seen.
@@ -62,6 +69,8 @@ class Refinement:
         height differ by from the calibration's.
     mounting_a, mounting_b : (K,) float64
         That difference, as `rocking.shown_from_floor` takes it; nothing for a steady camera.
+    rocks : bool
+        Whether the pixels ask for a camera that rocks more than was allowed for.
     """
 
     a_from_b: Pose2
@@ -69,6 +78,7 @@ class Refinement:
     view_a_from_view_b: NDArray[np.float64]
     mounting_a: NDArray[np.float64]
     mounting_b: NDArray[np.float64]
+    rocks: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,6 +106,7 @@ def refine(
     *,
     searched: bool = False,
     rocked: Refinement | None = None,
+    suspected_tilt_radians: float = 0.0,
 ) -> Refinement | None:
     """Refine a motion on the pixels of two views; None when they do not determine it.
 
@@ -113,6 +124,8 @@ def refine(
         Whether the start is a peak of a `search`, which may lie farther from the truth.
     rocked : Refinement or None
         With the same sigma, of other pixels: what it found of the rocking is where to start.
+    suspected_tilt_radians : float
+        By how much the camera may rock where it is taken to be steady: whether it does is told.
     """
     sigmas = rocking.mounting_sigmas(calibration, tilt_sigma_radians)
     state = State(a_from_b, np.zeros(len(sigmas)), np.zeros(len(sigmas)))
@@ -149,7 +162,59 @@ def refine(
         shown_a @ state.a_from_b.matrix @ invert(shown_b),
         state.mounting_a,
         state.mounting_b,
+        _strained(state, sigmas)
+        or (not len(sigmas) and _rocks(levels_b[0], solved, calibration, suspected_tilt_radians)),
     )
+
+
+def _strained(state: State, sigmas: NDArray[np.float64]) -> bool:
+    """Return whether the rocking that was found is more than its sigmas let one expect."""
+    found = np.concatenate([state.mounting_a, state.mounting_b])
+    return float(np.sum((found / np.tile(sigmas, 2)) ** 2)) > _MOST_STRAIN
+
+
+def _rocks(
+    b: DenseLevel, solved: Solved, calibration: Calibration, tilt_sigma_radians: float
+) -> bool:
+    """Return whether rocking would explain much that a steady camera's motion leaves over.
+
+    A step of Gauss-Newton with either frame's tilt and height beside the motion tells by how much
+    the squares would fall (a score test: Rao, Proc. Cambridge Phil. Soc. 44, 1948), and the motion
+    change.
+    """
+    sigmas = rocking.mounting_sigmas(calibration, tilt_sigma_radians)
+    if not len(sigmas):
+        return False
+    few = slice(None, None, -(-len(solved.points) // _SAMPLE_POINTS))
+    points_b, residual, weight = solved.points[few], solved.residual[few], solved.weight[few]
+    steady = solved.jacobian[few]
+    gradients_b = -steady[:, :2]
+    gradients_a = gradients_b @ solved.state.a_from_b.matrix[:2, :2].T
+    shifts_a = rocking.shifts(calibration, solved.state.a_from_b.apply(points_b), sigmas)
+    shifts_b = rocking.shifts(calibration, points_b, sigmas)
+    jacobian = np.hstack(
+        [
+            steady,
+            -np.einsum("ni,nik->nk", gradients_a, shifts_a),
+            np.einsum("ni,nik->nk", gradients_b, shifts_b),
+        ]
+    )
+    # The few stand for all.
+    share = len(solved.points) / len(points_b)
+    count = steady.shape[1]
+    information = share * jacobian.T @ (jacobian * weight[:, None])
+    information[:count, :count] += solved.prior
+    information[count:, count:] += np.eye(2 * len(sigmas))
+    pull = share * jacobian.T @ (weight * residual)
+    try:
+        step = np.linalg.solve(information, pull)
+        alone = np.linalg.solve(information[:count, :count], pull[:count])
+    except np.linalg.LinAlgError:
+        return False
+    gain = float(pull @ step - pull[:count] @ alone)
+    change = step[:3] - alone[:3]
+    moved = math.hypot(change[0], change[1]) + abs(change[2]) * float(np.abs(points_b).max())
+    return gain > _LEAST_GAIN and moved > _LEAST_CHANGE_PIXELS * b.metres_per_pixel
 
 
 def _ran_away(moved: Pose2, levels_a: Sequence[DenseLevel], *, searched: bool) -> bool:
@@ -242,7 +307,7 @@ def _refine_level(
     left = math.sqrt(float(np.sum(share * residual**2) / np.sum(share)))
     noise = max(left, _LEAST_LEFT_SHARE * contrast, 1e-6)
     weight = share / (noise**2 * _CORRELATED_PIXELS)
-    return Solved(state, jacobian, pixels, points, weight, prior)
+    return Solved(state, jacobian, pixels, points, residual, weight, prior)
 
 
 def _off_prior(
