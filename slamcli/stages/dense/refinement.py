@@ -214,7 +214,7 @@ def _rocks(
     gain = float(pull @ step - pull[:count] @ alone)
     change = step[:3] - alone[:3]
     moved = math.hypot(change[0], change[1]) + abs(change[2]) * float(np.abs(points_b).max())
-    return gain > _LEAST_GAIN and moved > _LEAST_CHANGE_PIXELS * b.metres_per_pixel
+    return bool(gain > _LEAST_GAIN and moved > _LEAST_CHANGE_PIXELS * b.metres_per_pixel)
 
 
 def _ran_away(moved: Pose2, levels_a: Sequence[DenseLevel], *, searched: bool) -> bool:
