@@ -163,6 +163,12 @@ def test_how_links_agree_corrects_what_they_claim(claimed: float, alone: float) 
     assert abs(math.log(told / 3.0)) < 0.35 * abs(math.log(alone / 3.0))
 
 
+def test_one_pose_alone_is_where_it_is_held() -> None:
+    alone = posegraph.solve({7: Pose2()}, [])
+    assert alone.poses == {7: Pose2()}
+    assert alone.variance_factor == 1.0
+
+
 def test_that_a_stretch_agrees_does_not_make_it_surer() -> None:
     """Steps of one stretch may share an error that none of them shows; contradictions show."""
     truth = [Pose2(0.1 * index) for index in range(60)]

@@ -105,7 +105,8 @@ def solve(
     trusted = np.zeros(len(problem), np.bool_)
     trusted[: len(links)] = [link.kind in _TRUSTED for link in links]
     state, kept = _agreed(problem, first, trusted, module)
-    seen = np.flatnonzero(kept[: len(links)] & [link.kind in _SEEN for link in links])
+    told = np.array([link.kind in _SEEN for link in links], np.bool_)
+    seen = np.flatnonzero(kept[: len(links)] & told)
     loops = sum(links[number].kind == "loop" for number in seen.tolist())
     return _solution(problem, state, kept, frames, _factor(problem, state, seen, loops), seen)
 
