@@ -118,15 +118,27 @@ def test_exposure_is_found_and_evened_out() -> None:
 
 
 def solved(frames: list[Frame], calibration: Calibration) -> Exposure:
+    return exposure.solve(observed(frames, calibration))
+
+
+def observed(frames: list[Frame], calibration: Calibration) -> list[exposure.Shared]:
     hull, step = camera.footprint_hull(calibration), exposure.comparison_step(calibration)
-    return exposure.solve(
-        [
-            exposure.observe(
-                cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY), calibration, hull, pose, step
-            )
-            for frame, pose in zip(frames, POSES, strict=True)
-        ]
-    )
+    return [
+        exposure.observe(
+            cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY), calibration, hull, pose, step
+        )
+        for frame, pose in zip(frames, POSES, strict=True)
+    ]
+
+
+def test_a_place_seen_all_day_long_is_compared_in_some_of_its_views() -> None:
+    """Ten times over the same way: the gains come out, from a share of what was seen."""
+    gains = (1.0, 1.2, 0.8, 1.0, 1.1, 0.75, 1.25, 0.8)
+    calibration = forward_camera()
+    seen = observed(pictures(gains), calibration)
+    light = exposure.solve(seen * 10)
+    evened = light.gains * np.tile(gains, 10)
+    np.testing.assert_allclose(evened / np.median(evened), 1.0, atol=0.015)
 
 
 def test_vignetting_is_found_and_taken_back() -> None:

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from slamcli.stages.mosaic.sampling import Picture
     from slamcli.stages.mosaic.tiles import TileKey
 
-# Arrays of a tile that is being painted, at their most: its views' cells and pixels.
-_TILE_BYTES = 60_000_000
+# Arrays of a tile that is being painted, at their most: its pixels, and the cells of each view.
+_TILE_BYTES, _TILE_VIEW_BYTES = 60_000_000, 350_000
 _STORED_TILE_BYTES = tiles.TILE_PIXELS**2 * 3 + tiles.TILE_PIXELS**2 // 8
 _LAYER_BYTES = {"resolution": 4, "views": 2, "last-frame": 4}
 # A PNG of more than this would not open in most viewers.
@@ -136,9 +136,8 @@ def paint_scene(
     plan = [item for item in painter.plan(scene.shots) if _wanted(item[0], scale, options)]
     if not plan:
         raise InputError("no frame sees anything of that crop; poses.csv tells where they are")
-    most = most_pictures(
-        painter.picture_bytes, options.memory_bytes, workers * _TILE_BYTES, workers
-    )
+    canvas = workers * _tile_bytes(plan)
+    most = most_pictures(painter.picture_bytes, options.memory_bytes, canvas, workers)
     pictures = Pictures(partial(_picture, painter, scene), most)
     work = partial(_paint, painter, scene, pictures)
     left = [(key, numbers) for key, numbers in plan if (key.row, key.column) not in store]
@@ -181,12 +180,17 @@ def estimate(
     assert grid is not None
     layers = sum(_LAYER_BYTES[layer] for layer in options.layers) * tiles.TILE_PIXELS**2
     disk = len(plan) * (_STORED_TILE_BYTES + layers)
-    memory = pictures * painter.picture_bytes + workers * _TILE_BYTES
+    memory = pictures * painter.picture_bytes + workers * _tile_bytes(plan)
     return (
         f"up to {grid.width}x{grid.height} pixels of {painter.metres_per_pixel:g} "
         f"{painter.calibration.unit}, {len(plan)} tiles; about {size_text(disk)} of disk, "
         f"{size_text(memory)} of memory, {seconds:.0f} s to paint"
     )
+
+
+def _tile_bytes(plan: Sequence[tuple[TileKey, list[int]]]) -> int:
+    """Return what the tile that most frames see takes while it is painted."""
+    return _TILE_BYTES + _TILE_VIEW_BYTES * max(len(numbers) for _, numbers in plan)
 
 
 def check_png(grid: Grid, options: ProductOptions) -> None:

@@ -29,6 +29,9 @@ _ROUNDS, _HUBER_ROUNDS = 12, 6
 _HUBER, _TUKEY = 1.345, 4.685
 _LEAST_WEIGHT = 1e-3
 _SIGMA = 0.03
+# Of a place that is seen again and again so many views, any of them, tell as much as is needed; all
+# of them, over a floor driven along all day, would take more memory than the map.
+_MOST_VIEWS_OF_A_PLACE = 16
 # Without anything that speaks for another, every gain is 1 and the lens is even.
 _GAIN_SIGMA, _VIGNETTING_SIGMA = 1.0, 0.5
 _DARKEST_GRAY, _BRIGHTEST_GRAY = 8.0, 245.0
@@ -147,10 +150,11 @@ def solve(observations: Sequence[Shared]) -> Exposure:
     frame = np.repeat(np.arange(frames), counts)
     places = np.concatenate([one.places for one in observations])
     _, place = np.unique(places, axis=0, return_inverse=True)
-    place = place.reshape(-1)
-    logarithm = np.concatenate([one.logarithm for one in observations])
-    radius = np.concatenate([one.radius_squared for one in observations])
-    trust = np.concatenate([one.weight for one in observations])
+    some = _some_of_each(place.reshape(-1), _MOST_VIEWS_OF_A_PLACE)
+    frame, place = frame[some], place.reshape(-1)[some]
+    logarithm = np.concatenate([one.logarithm for one in observations])[some]
+    radius = np.concatenate([one.radius_squared for one in observations])[some]
+    trust = np.concatenate([one.weight for one in observations])[some]
     rows = np.arange(len(frame))
     even, fourth = np.full(len(frame), frames), np.full(len(frame), frames + 1)
     design = sparse.csr_array(
@@ -193,6 +197,15 @@ def solve(observations: Sequence[Shared]) -> Exposure:
     fall = max(abs(a * r + b * r * r) for r in (0.25, 0.5, 0.75, 1.0))
     nothing = fall < max(float(sigmas[frames]), _NOTHING)
     return Exposure(gains, (0.0, 0.0) if nothing else (a, b))
+
+
+def _some_of_each(kind: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """Return the numbers, in order, of at most so many of each kind, drawn at random."""
+    drawn = np.random.default_rng(0).permutation(len(kind))
+    order = np.lexsort((drawn, kind))
+    first = np.flatnonzero(np.diff(kind[order], prepend=-1))
+    rank = np.arange(len(kind)) - np.repeat(first, np.diff(np.append(first, len(kind))))
+    return np.sort(order[rank < most])
 
 
 def correct(
