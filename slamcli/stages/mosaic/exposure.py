@@ -49,20 +49,20 @@ class Shared:
 
     Attributes
     ----------
-    places : (M, 2) int64
+    places : (M, 2) int32
         In units of the comparison's step, in the map.
     logarithm : (M,) float64
         Of the mean gray.
-    radius_squared : (M,) float64
+    radius_squared : (M,) float32
         From the picture's middle; 1 in its corners.
-    weight : (M,) float64
+    weight : (M,) float32
         1 where the floor is plain, less the more contrast there is.
     """
 
-    places: NDArray[np.int64]
+    places: NDArray[np.int32]
     logarithm: NDArray[np.float64]
-    radius_squared: NDArray[np.float64]
-    weight: NDArray[np.float64]
+    radius_squared: NDArray[np.float32]
+    weight: NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +83,8 @@ class Exposure:
 
 def nothing_shared() -> Shared:
     """Return what a frame shows that cannot be read."""
-    return Shared(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0), np.zeros(0))
+    none = np.zeros(0, np.float32)
+    return Shared(np.zeros((0, 2), np.int32), np.zeros(0), none, none)
 
 
 def comparison_step(calibration: Calibration) -> float:
@@ -128,10 +129,10 @@ def observe(
     usable = (level > _DARKEST_GRAY) & (level < _BRIGHTEST_GRAY)
     contrast = np.sqrt(variance[usable]) / level[usable]
     return Shared(
-        places[usable],
+        places[usable].astype(np.int32),
         np.log(level[usable]),
-        radius_squared[usable],
-        1.0 / (1.0 + (contrast / (4 * _SIGMA)) ** 2),
+        radius_squared[usable].astype(np.float32),
+        (1.0 / (1.0 + (contrast / (4 * _SIGMA)) ** 2)).astype(np.float32),
     )
 
 
@@ -147,14 +148,14 @@ def solve(observations: Sequence[Shared]) -> Exposure:
     counts = [len(one.logarithm) for one in observations]
     if frames == 0 or sum(counts) == 0:
         return Exposure(np.ones(frames))
-    frame = np.repeat(np.arange(frames), counts)
-    places = np.concatenate([one.places for one in observations])
-    _, place = np.unique(places, axis=0, return_inverse=True)
-    some = _some_of_each(place.reshape(-1), _MOST_VIEWS_OF_A_PLACE)
-    frame, place = frame[some], place.reshape(-1)[some]
+    # One number a place: to tell pairs apart takes several times the memory.
+    keys = np.concatenate([_keys(one.places) for one in observations])
+    some = _some_of_each(keys, _MOST_VIEWS_OF_A_PLACE)
+    frame = np.repeat(np.arange(frames), counts)[some]
+    _, place = np.unique(keys[some], return_inverse=True)
     logarithm = np.concatenate([one.logarithm for one in observations])[some]
-    radius = np.concatenate([one.radius_squared for one in observations])[some]
-    trust = np.concatenate([one.weight for one in observations])[some]
+    radius = np.concatenate([one.radius_squared for one in observations])[some].astype(np.float64)
+    trust = np.concatenate([one.weight for one in observations])[some].astype(np.float64)
     rows = np.arange(len(frame))
     even, fourth = np.full(len(frame), frames), np.full(len(frame), frames + 1)
     design = sparse.csr_array(
@@ -197,6 +198,11 @@ def solve(observations: Sequence[Shared]) -> Exposure:
     fall = max(abs(a * r + b * r * r) for r in (0.25, 0.5, 0.75, 1.0))
     nothing = fall < max(float(sigmas[frames]), _NOTHING)
     return Exposure(gains, (0.0, 0.0) if nothing else (a, b))
+
+
+def _keys(places: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Return (M,) one number for each place."""
+    return np.asarray((places[:, 0].astype(np.int64) << 32) + places[:, 1])
 
 
 def _some_of_each(kind: NDArray[np.int64], most: int) -> NDArray[np.int64]:
