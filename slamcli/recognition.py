@@ -147,7 +147,10 @@ class Recogniser:
             else:
                 spot.append(place)
         tried = [self._first_strong(prepared, spot) for spot in spots[:_MOST_SPOTS]]
-        believed = [trial for trial in tried if trial is not None]
+        believed: list[Trial] = []
+        for trial in tried:
+            if trial is not None and not any(self._same_end(trial, b, graph) for b in believed):
+                believed.append(trial)
         if len(believed) == 1:
             return Recognition(believed[0], "")
         if believed:
@@ -166,14 +169,29 @@ class Recogniser:
                 return trial
         return None
 
+    def _same_end(self, first: Trial, second: Trial, graph: Graph) -> bool:
+        """Return whether two spots, compared, put the frame at one place: recalled only roughly."""
+        assert first.link is not None
+        assert second.link is not None
+        return self._same_pose(
+            (first.link.a, first.link.a_from_b), (second.link.a, second.link.a_from_b), graph
+        )
+
     def _same_spot(self, first: Place, second: Place, graph: Graph) -> bool:
         """Return whether two recalled places say the same of where the frame is."""
-        if graph[first.keyframe].fragment != graph[second.keyframe].fragment:
-            return False
-        one, other = (
-            graph.pose(place.keyframe) @ place.keyframe_from_now for place in (first, second)
+        return self._same_pose(
+            (first.keyframe, first.keyframe_from_now),
+            (second.keyframe, second.keyframe_from_now),
+            graph,
         )
+
+    def _same_pose(self, first: tuple[int, Pose2], second: tuple[int, Pose2], graph: Graph) -> bool:
+        """Return whether two keyframes, with a frame's pose in each, put it at one place."""
+        (a, a_from_now), (b, b_from_now) = first, second
+        if graph[a].fragment != graph[b].fragment:
+            return False
+        one, other = graph.pose(a) @ a_from_now, graph.pose(b) @ b_from_now
         apart = one.inverse() @ other
-        drift = _DRIFT_A_KEYFRAME * abs(self.steps_between(first.keyframe, second.keyframe))
+        drift = _DRIFT_A_KEYFRAME * abs(self.steps_between(a, b))
         near = (_SAME_SHARE_OF_RANGE + drift) * self._calibration.max_range_metres
         return apart.translation_length < near and abs(apart.theta) < _SAME_RADIANS + drift

@@ -28,7 +28,7 @@ Kind = TypeVar("Kind", bound=np.generic)
 _TABLES = 12
 _KEY_BITS = 20
 # So many entries of a bucket are read, the newest first.
-_MOST_READ = 12
+_MOST_READ = 8
 _MOST_INDEXED = 256
 _MOST_ASKED = 400
 # Descriptors of one spot differ by less than this share of their bits, those of others seldom.
