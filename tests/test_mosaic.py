@@ -141,6 +141,19 @@ def test_a_place_seen_all_day_long_is_compared_in_some_of_its_views() -> None:
     np.testing.assert_allclose(evened / np.median(evened), 1.0, atol=0.015)
 
 
+def test_light_is_compared_wherever_the_map_begins() -> None:
+    """Each frame as bright as the other wherever the places lie, on both sides of the origin."""
+    for corner in ((0, -1), (0, 0), (-1, 0), (-1, -1)):
+        places = np.array([corner, (corner[0], corner[1] + 1), (3, 2)], np.int32)
+        plain = np.ones(3, np.float32)
+        frames = [
+            exposure.Shared(places, np.full(3, np.log(gray)), 0.5 * plain, plain)
+            for gray in (100.0, 120.0)
+        ]
+        gains = exposure.solve(frames).gains
+        assert gains[0] / gains[1] == pytest.approx(1.2, rel=0.01)
+
+
 def test_vignetting_is_found_and_taken_back() -> None:
     calibration = forward_camera()
     falls = exposure.brightening_image(calibration.image_size, (-0.25, 0.0))

@@ -163,8 +163,8 @@ def _polished(
         asked_for = start is not None or (best is not None and best.bent and best.rocks)
         if (tilt > 0.0 and best is not None and _steady(best)) or (tilt > steady and not asked_for):
             break
-        # Each from where the features or the search led: without the rocking that there is, the
-        # refinement may have gone astray.
+        # From where the features or the search led, or less rocking: without the rocking that there
+        # is, the refinement may have gone astray.
         fit, refined = plain if tilt == 0.0 and not held else None, None
         if fit is None:
             refined = dense.refine(
@@ -181,7 +181,6 @@ def _polished(
                 continue
             fit = judge_refined(pair, refined)
         if tilt > 0.0 and best is not None and fit.correlation > best.correlation:
-            # A camera that rocks by more is found from where less of it led.
             rocked = refined
             if held:
                 levels_a = dense.agreeing(pair.a[:2], levels_b[0], fit.view_a_from_view_b)

@@ -123,7 +123,7 @@ def refine(
     searched : bool
         Whether the start is a peak of a `search`, which may lie farther from the truth.
     rocked : Refinement or None
-        With the same sigma, of other pixels: what it found of the rocking is where to start.
+        By other pixels or a narrower sigma: what it found of the rocking is where to start.
     suspected_tilt_radians : float
         By how much the camera may rock where it is taken to be steady: whether it does is told.
     """
@@ -192,13 +192,8 @@ def _rocks(
     gradients_a = gradients_b @ solved.state.a_from_b.matrix[:2, :2].T
     shifts_a = rocking.shifts(calibration, solved.state.a_from_b.apply(points_b), sigmas)
     shifts_b = rocking.shifts(calibration, points_b, sigmas)
-    jacobian = np.hstack(
-        [
-            steady,
-            -np.einsum("ni,nik->nk", gradients_a, shifts_a),
-            np.einsum("ni,nik->nk", gradients_b, shifts_b),
-        ]
-    )
+    bent = rocking.slopes(gradients_a, gradients_b, shifts_a, shifts_b)
+    jacobian = np.hstack([steady, bent])
     # The few stand for all.
     share = len(solved.points) / len(points_b)
     count = steady.shape[1]
@@ -284,8 +279,7 @@ def _refine_level(
         jacobian[:, 4] = 1.0
         if count:
             shifts_b = rocking.shifts(calibration, points, sigmas)
-            jacobian[:, 5 : 5 + count] = -np.einsum("ni,nik->nk", a.gradients[seen], shifts_a[seen])
-            jacobian[:, 5 + count :] = np.einsum("ni,nik->nk", gradients, shifts_b)
+            jacobian[:, 5:] = rocking.slopes(a.gradients[seen], gradients, shifts_a[seen], shifts_b)
         residual = levels.sample(b.detail, pixels) - values
         off = _off_prior(state, sigmas, known)
         contrast = float(values.std())

@@ -55,3 +55,26 @@ def shifts(
             apply_homography(shown_from_floor(calibration, changed), points) - points
         )
     return shifts
+
+
+def slopes(
+    gradients_a: NDArray[np.float64],
+    gradients_b: NDArray[np.float64],
+    shifts_a: NDArray[np.float64],
+    shifts_b: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return (N, 2 K): how residuals change with either frame's rocking, a's before b's.
+
+    Parameters
+    ----------
+    gradients_a, gradients_b : (N, 2) float64
+        Of view a's picture, in a's axes and in b's.
+    shifts_a, shifts_b : (N, 2, K) float64
+        From `shifts`, each in its own frame's axes.
+    """
+    return np.hstack(
+        [
+            -np.einsum("ni,nik->nk", gradients_a, shifts_a),
+            np.einsum("ni,nik->nk", gradients_b, shifts_b),
+        ]
+    )

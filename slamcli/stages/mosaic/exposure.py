@@ -209,7 +209,8 @@ def _some_of_each(kind: NDArray[np.int64], most: int) -> NDArray[np.int64]:
     """Return the numbers, in order, of at most so many of each kind, drawn at random."""
     drawn = np.random.default_rng(0).permutation(len(kind))
     order = np.lexsort((drawn, kind))
-    first = np.flatnonzero(np.diff(kind[order], prepend=-1))
+    ordered = kind[order]
+    first = np.flatnonzero(np.append(True, ordered[1:] != ordered[:-1]))
     rank = np.arange(len(kind)) - np.repeat(first, np.diff(np.append(first, len(kind))))
     return np.sort(order[rank < most])
 

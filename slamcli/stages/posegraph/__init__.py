@@ -105,10 +105,12 @@ def solve(
     trusted = np.zeros(len(problem), np.bool_)
     trusted[: len(links)] = [link.kind in _TRUSTED for link in links]
     state, kept = _agreed(problem, first, trusted, module)
-    told = np.array([link.kind in _SEEN for link in links], np.bool_)
-    seen = np.flatnonzero(kept[: len(links)] & told)
-    loops = sum(links[number].kind == "loop" for number in seen.tolist())
-    return _solution(problem, state, kept, frames, _factor(problem, state, seen, loops), seen)
+    seen = [n for n, link in enumerate(links) if link.kind in _SEEN and kept[n]]
+    loops = sum(links[n].kind == "loop" for n in seen)
+    weights = kept.astype(np.float64)
+    factor = _factor(problem, state, np.array(seen, np.int64), loops)
+    weights[seen] /= factor
+    return _solution(problem, state, kept, frames, weights, factor)
 
 
 def _agreed(
@@ -204,13 +206,11 @@ def _solution(
     state: State,
     kept: NDArray[np.bool_],
     frames: Sequence[int],
+    weights: NDArray[np.float64],
     factor: float,
-    scaled: NDArray[np.int64],
 ) -> Solution:
-    """Return the solution, its covariances by those of the scaled links times the factor."""
+    """Return the solution, its covariances by factors of such weights."""
     count = len(frames)
-    weights = kept.astype(np.float64)
-    weights[scaled] /= factor
     equations = problem.linearise(state, weights)
     sizes = np.array([3] * count + [1, 3, 2])
     *blocks, compass, datum, _lever = diagonal_blocks(*equations.entries, sizes)
