@@ -29,6 +29,18 @@ def test_angles_are_wrapped_into_one_turn() -> None:
     assert Pose2(0, 0, math.tau + 0.1).theta == pytest.approx(0.1)
 
 
+def test_a_homography_takes_points_in_any_shape_and_to_infinity() -> None:
+    homography = np.array([[2.0, 0.5, 1.0], [0.0, 1.0, -3.0], [0.5, 0.0, 1.0]])
+    points = np.arange(24.0).reshape(3, 4, 2)
+    mapped = apply_homography(homography, points)
+    for place, (x, y) in zip(mapped.reshape(-1, 2), points.reshape(-1, 2), strict=True):
+        scale = 0.5 * x + 1.0
+        np.testing.assert_allclose(place, [(2 * x + 0.5 * y + 1) / scale, (y - 3) / scale])
+    assert apply_homography(homography, (4.0, 2.0)).shape == (2,)
+    assert apply_homography(homography, np.empty((0, 2))).shape == (0, 2)
+    assert not np.isfinite(apply_homography(homography, [-2.0, 7.0])).any()
+
+
 def test_a_grid_has_its_pixels_centres_half_a_pixel_in() -> None:
     grid = Grid(x_min=-1.0, y_max=2.0, metres_per_pixel=0.5, width=4, height=6)
     centre = apply_homography(grid.metres_from_pixel, [[0.0, 0.0], [3.0, 5.0]])

@@ -37,12 +37,17 @@ def apply_homography(b_from_a: NDArray[np.float64], points: ArrayLike) -> NDArra
     (..., 2) array, in b. Points on the line at infinity come out as inf or nan, without a warning.
     """
     coordinates = np.asarray(points, dtype=np.float64)
+    # A coordinate to a row: numpy is slow along an axis so short.
+    rows = coordinates.reshape(-1, 2).T
     if b_from_a[2, 0] == 0.0 == b_from_a[2, 1] and b_from_a[2, 2] == 1.0:
-        return np.asarray(coordinates @ b_from_a[:2, :2].T + b_from_a[:2, 2])
-    mapped = coordinates @ b_from_a[:, :2].T + b_from_a[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        quotient: NDArray[np.float64] = mapped[..., :2] / mapped[..., 2:]
-    return quotient
+        mapped = b_from_a[:2, :2] @ rows
+        mapped += b_from_a[:2, 2:]
+    else:
+        scaled = b_from_a[:, :2] @ rows
+        scaled += b_from_a[:, 2:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mapped = scaled[:2] / scaled[2]
+    return np.asarray(mapped.T.reshape(coordinates.shape), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +109,7 @@ class Pose2:
 
     def apply(self, points: ArrayLike) -> NDArray[np.float64]:
         """Map (..., 2) points in b to (..., 2) points in a, both in metres."""
-        coordinates = np.asarray(points, dtype=np.float64)
-        mapped: NDArray[np.float64] = coordinates @ self.matrix[:2, :2].T + (self.x, self.y)
-        return mapped
+        return apply_homography(self.matrix, points)
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,17 +43,25 @@ def shown_from_floor(
     return np.asarray(shown / shown[2, 2])
 
 
-def shifts(
-    calibration: Calibration, points: NDArray[np.float64], sigmas: NDArray[np.float64]
+def shown_from_floor_by_each(
+    calibration: Calibration, sigmas: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return (N, 2, 3): metres by which points are shown elsewhere, for one sigma of each."""
-    shifts = np.empty((len(points), 2, len(sigmas)))
-    for number, sigma in enumerate(sigmas):
-        changed = np.zeros(len(sigmas))
-        changed[number] = sigma
-        shifts[:, :, number] = (
-            apply_homography(shown_from_floor(calibration, changed), points) - points
-        )
+    """Return (K, 3, 3): `shown_from_floor` with one sigma of each in turn."""
+    return np.array(
+        [shown_from_floor(calibration, row) for row in np.diag(sigmas)], dtype=np.float64
+    ).reshape(-1, 3, 3)
+
+
+def shifts(
+    shown_from_floor_by_each: NDArray[np.float64], points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return (K, 2, N): metres by which (N, 2) points are shown elsewhere, for one sigma of each.
+
+    A coordinate to a row, as all that is as long as the points: numpy is quickest so.
+    """
+    shifts = np.empty((len(shown_from_floor_by_each), 2, len(points)))
+    for shift, homography in zip(shifts, shown_from_floor_by_each, strict=True):
+        np.subtract(apply_homography(homography, points).T, points.T, out=shift)
     return shifts
 
 
@@ -63,18 +71,15 @@ def slopes(
     shifts_a: NDArray[np.float64],
     shifts_b: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return (N, 2 K): how residuals change with either frame's rocking, a's before b's.
+    """Return (2 K, N): how residuals change with either frame's rocking, a's before b's.
 
     Parameters
     ----------
     gradients_a, gradients_b : (N, 2) float64
         Of view a's picture, in a's axes and in b's.
-    shifts_a, shifts_b : (N, 2, K) float64
+    shifts_a, shifts_b : (K, 2, N) float64
         From `shifts`, each in its own frame's axes.
     """
-    return np.hstack(
-        [
-            -np.einsum("ni,nik->nk", gradients_a, shifts_a),
-            np.einsum("ni,nik->nk", gradients_b, shifts_b),
-        ]
-    )
+    slopes_a = shifts_a[:, 0] * gradients_a[:, 0] + shifts_a[:, 1] * gradients_a[:, 1]
+    slopes_b = shifts_b[:, 0] * gradients_b[:, 0] + shifts_b[:, 1] * gradients_b[:, 1]
+    return np.concatenate([-slopes_a, slopes_b])
