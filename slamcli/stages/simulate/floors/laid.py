@@ -99,13 +99,19 @@ def _places(grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 def _hashed(column: NDArray[np.int_], row: NDArray[np.int_], seed: int) -> NDArray[np.float64]:
     """Return a number in [-1, 1) for each piece, by its place and the seed alone."""
-    values = np.empty(column.shape)
-    pieces = np.stack([column, row], axis=-1).reshape(-1, 2)
-    for piece in np.unique(pieces, axis=0):
+    least_column, least_row = int(column.min()), int(row.min())
+    rows = int(row.max()) - least_row + 1
+    # One number to a piece: numpy sorts pairs twenty times as slowly.
+    pieces, inside = np.unique(
+        (column - least_column) * rows + (row - least_row), return_inverse=True
+    )
+    values = np.empty(len(pieces))
+    for index, piece in enumerate(pieces):
+        piece_column, piece_row = divmod(int(piece), rows)
         # Seeds are natural numbers; the offset keeps those of pieces left of the origin so.
-        generator = np.random.default_rng([seed, int(piece[0]) + 2**31, int(piece[1]) + 2**31])
-        values[(column == piece[0]) & (row == piece[1])] = generator.uniform(-1.0, 1.0)
-    return values
+        place = piece_column + least_column + 2**31, piece_row + least_row + 2**31
+        values[index] = np.random.default_rng([seed, *place]).uniform(-1.0, 1.0)
+    return values[inside]
 
 
 def _repeated(
