@@ -20,7 +20,7 @@ demo: $(VENV)/installed
 	$(BIN)/slam stitch samples/course/frames -c $(DEMO)/calibration.yaml -o $(DEMO)/map --overwrite
 
 test: $(VENV)/installed-dev lint
-	$(BIN)/python -m pytest -n auto
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check

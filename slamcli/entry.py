@@ -6,6 +6,7 @@ wait for it. A test holds that the text is click's own, of 80 columns.
 
 from __future__ import annotations
 
+import os
 import sys
 
 HELP = """\
@@ -35,6 +36,10 @@ def main() -> None:
     if sys.argv[1:] in (["-h"], ["--help"]):
         sys.stdout.write(HELP)
         return
+    # Frames already fill the processors; for matrices as small as theirs the linear algebra's own
+    # threads only wait for one another. It reads this as it is loaded.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("MKL_NUM_THREADS", "1")
     from slamcli.cli import main as command_line
 
     command_line(prog_name="slam")

@@ -5,7 +5,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import cv2
 import pytest
+
+# The tests already fill the processors.
+cv2.setNumThreads(1)
 
 
 @pytest.fixture(scope="session")

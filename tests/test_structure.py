@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -118,3 +119,21 @@ def test_help_loads_no_heavy_library() -> None:
 def test_the_ready_help_is_what_click_would_print() -> None:
     printed = CliRunner().invoke(cli.main, ["--help"], prog_name="slam", terminal_width=80)
     assert printed.output == entry.HELP
+
+
+@pytest.mark.parametrize(("given", "kept"), [(None, "1"), ("3", "3")])
+def test_linear_algebra_keeps_to_one_thread_unless_told_otherwise(
+    given: str | None, kept: str
+) -> None:
+    """Set before numpy is loaded, which reads it then."""
+    environment = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+    environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
+    code = (
+        "import os, sys; from slamcli.entry import main; assert 'numpy' not in sys.modules\n"
+        "sys.argv = ['slam', '--version']\n"
+        "try:\n    main()\nexcept SystemExit:\n    print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, env=environment
+    )
+    assert done.stdout.split()[-1] == kept
