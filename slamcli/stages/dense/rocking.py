@@ -57,7 +57,7 @@ def shifts(
 ) -> NDArray[np.float64]:
     """Return (K, 2, N): metres by which (N, 2) points are shown elsewhere, for one sigma of each.
 
-    A coordinate to a row, as all that is as long as the points: numpy is quickest so.
+    The points run along the last axis, as in `slopes`: numpy is slow along axes as short as two.
     """
     shifts = np.empty((len(shown_from_floor_by_each), 2, len(points)))
     for shift, homography in zip(shifts, shown_from_floor_by_each, strict=True):
