@@ -7,6 +7,7 @@ error is below a camera's own noise; the pyramid is made anew from them.
 from __future__ import annotations
 
 from dataclasses import replace
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import cv2
@@ -48,7 +49,7 @@ def compress(prepared: Prepared) -> Keyframe:
 
 
 class Expander:
-    """Makes keyframes ready to be compared again, the latest few only once.
+    """Makes keyframes ready to be compared again, the latest few only once; threads may share it.
 
     A copy or a saved state begins with none of them ready: they are much larger than what they are
     made from.
@@ -62,6 +63,7 @@ class Expander:
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
         self._ready: dict[int, Prepared] = {}
+        self._lock = Lock()
 
     def __reduce__(self) -> tuple[type[Expander], tuple[Grid]]:
         return Expander, (self.grid,)
@@ -74,12 +76,14 @@ class Expander:
         FrameError
             When its pictures are not of the grid's views.
         """
-        prepared = self._ready.pop(keyframe.index, None)
+        with self._lock:
+            prepared = self._ready.pop(keyframe.index, None)
         if prepared is None:
             prepared = self._expand(keyframe)
-        self._ready[keyframe.index] = prepared
-        while len(self._ready) > _MOST_READY:
-            del self._ready[next(iter(self._ready))]
+        with self._lock:
+            self._ready[keyframe.index] = prepared
+            while len(self._ready) > _MOST_READY:
+                del self._ready[next(iter(self._ready))]
         return prepared
 
     def _expand(self, keyframe: Keyframe) -> Prepared:

@@ -8,7 +8,8 @@ compared (`slamcli.recognition`).
 
 from __future__ import annotations
 
-from itertools import accumulate, pairwise
+from functools import partial
+from itertools import accumulate, groupby, islice, pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from slamcli.recognition import Recogniser
 from slamcli.stages import covisibility, posegraph
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
     from slamcli.graph import Graph
     from slamcli.recognition import Recognition
     from slamcli.stages.places import Place
+
+    Attempts = Sequence["_Attempt"]
+    Spread = Callable[[Callable[[Attempts], list[Link]], Iterable[Attempts]], Iterable[list[Link]]]
 
 # Of the way between two frames: what a calibration's errors add to it, which no link's covariance
 # knows of (one sigma).
@@ -44,6 +48,8 @@ _LEAST_OVERLAP = 0.2
 _MOST_TRIED = 3
 _BESIDE = 1
 _SAME_RADIANS = 0.1
+# Pairs are listed for so many keyframes at a time.
+_LISTED = 64
 
 
 class _Attempt(NamedTuple):
@@ -154,20 +160,40 @@ class Loops:
             step = (graph.pose(before).inverse() @ graph.pose(keyframe)).translation_length
         return self._ways[before] + step
 
-    def close(self, graph: Graph) -> list[Link]:
-        """Return the loops that one round finds by the graph's poses as they are."""
+    def close(self, graph: Graph, spread: Spread = map) -> list[Link]:
+        """Return the loops that one round finds by the graph's poses as they are.
+
+        Parameters
+        ----------
+        graph : Graph
+        spread : function
+            Like `map`, such as an executor's. A keyframe's loops do not depend on those of others:
+            only what it is tied to itself, among the older ones, is not asked for again.
+        """
         ties = _Ties(self._known)
         ties.update(graph.links)
         found: list[Link] = []
         for attempts in (self._by_poses(graph), self._by_appearance(graph)):
-            for attempt in attempts:
-                if {attempt.a, attempt.b} <= self._adopted:
-                    continue
-                link = None if ties.beside(attempt.a, attempt.b) else self._attempt(attempt)
-                if link is not None:
-                    ties.add(link)
-                    found.append(link)
+            by_keyframe = (list(group) for _, group in groupby(attempts, lambda one: one.b))
+            closed: list[Link] = []
+            while listed := list(islice(by_keyframe, _LISTED)):
+                for links in spread(partial(self._close_one, ties), listed):
+                    closed += links
+            for link in closed:
+                ties.add(link)
+            found += closed
         return found + self._between_fragments(graph)
+
+    def _close_one(self, ties: _Ties, attempts: Sequence[_Attempt]) -> list[Link]:
+        """Return the loops of one keyframe, none beside another."""
+        found: list[Link] = []
+        for attempt in attempts:
+            if {attempt.a, attempt.b} <= self._adopted or ties.beside(attempt.a, attempt.b, found):
+                continue
+            link = self._attempt(attempt)
+            if link is not None:
+                found.append(link)
+        return found
 
     def _latest(self) -> frozenset[int]:
         return frozenset(self._known.order[-self._recent :])
@@ -288,11 +314,18 @@ class _Ties:
             self._tied.setdefault(link.a, []).append(link.b)
             self._tied.setdefault(link.b, []).append(link.a)
 
-    def beside(self, a: int, b: int) -> bool:
-        """Return whether b is tied to a already, or to a keyframe right before or after it."""
-        return any(
-            abs(self._known.steps_between(other, a)) <= _BESIDE for other in self._tied.get(b, [])
-        )
+    def beside(self, a: int, b: int, more: Sequence[Link] = ()) -> bool:
+        """Return whether b is tied to a already, or to a keyframe right before or after it.
+
+        Parameters
+        ----------
+        a, b : int
+            Keyframes.
+        more : sequence of Link
+            Of b with older ones, to be counted too.
+        """
+        others = [*self._tied.get(b, []), *(link.a for link in more)]
+        return any(abs(self._known.steps_between(other, a)) <= _BESIDE for other in others)
 
 
 def _uncertainty(link: Link) -> float:

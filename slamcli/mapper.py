@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         OdometryReading,
         TelemetryOptions,
     )
+    from slamcli.loops import Spread
 
 # Frames so near in time may be searched for anywhere in each other.
 _MOST_UNGUIDED_STEPS = 2
@@ -191,7 +192,7 @@ class Mapper:
             return self._rejoin(prepared)
         return self._recover(prepared, trials)
 
-    def finish(self) -> list[PoseEstimate]:
+    def finish(self, spread: Spread = map) -> list[PoseEstimate]:
         """Weigh all links against one another and return every frame's final estimate.
 
         Fragments that links connect become one; they are numbered from the one with most frames
@@ -201,9 +202,15 @@ class Mapper:
         Loops are closed as frames come where these look like floor seen before, and what lies
         between is solved so seldom that a robot keeps up; here all that the poses tell of are. A
         robot may ask for it whenever it has the time, and go on mapping.
+
+        Parameters
+        ----------
+        spread : function
+            Like `map`, such as that of a `ThreadPoolExecutor`: keyframes look for their loops by
+            it, with the same result.
         """
         self._graph.solve()
-        while self.options.loops and (found := self._loops.close(self._graph)):
+        while self.options.loops and (found := self._loops.close(self._graph, spread)):
             self._graph.links += found
             self._graph.solve()
         return self.estimates

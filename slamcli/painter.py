@@ -82,14 +82,14 @@ class Painter:
     def plan(self, shots: Sequence[Shot]) -> list[tuple[TileKey, list[int]]]:
         """Return every tile that is seen, with the numbers of the shots that may see it.
 
-        In the order in which the robot came by, so that few pictures are needed at a time.
+        In the order in which the robot first came by, so that few pictures are needed at a time.
         """
         seen: dict[TileKey, list[int]] = {}
         for number, shot in enumerate(shots):
             outline = shot.map_from_robot.apply(self.hull)
             for key in tiles.tiles_under(outline, self.metres_per_pixel):
                 seen.setdefault(key, []).append(number)
-        return sorted(seen.items(), key=lambda item: (float(np.mean(item[1])), item[0]))
+        return sorted(seen.items(), key=lambda item: (item[1][0], item[0]))
 
     def picture(self, frame: Frame, number: int) -> Picture:
         """Return a frame's pyramid, evenly lit; `number` is its shot's place in the sequence."""

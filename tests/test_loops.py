@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import pickle
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -59,6 +61,19 @@ def worst_metres(estimates: list[slamcli.PoseEstimate], truth: list[Pose2]) -> f
 @pytest.fixture(scope="module")
 def circle(photographer: photograph.Photographer) -> slamcli.Mapper:
     return drive(photographer, CIRCLE, slamcli.MapperOptions())
+
+
+def test_threads_find_the_loops_that_one_does(circle: slamcli.Mapper) -> None:
+    kept = pickle.dumps(circle)
+    alone, together = pickle.loads(kept), pickle.loads(kept)
+    before = len(circle.links)
+    with ThreadPoolExecutor(3) as executor:
+        estimates = together.finish(executor.map)
+    for one, other in zip(alone.finish(), estimates, strict=True):
+        assert one.map_from_robot == other.map_from_robot
+    ties = [(link.a, link.b, link.a_from_b) for link in alone.links]
+    assert ties == [(link.a, link.b, link.a_from_b) for link in together.links]
+    assert len(ties) > before
 
 
 def test_a_loop_is_closed_by_true_links_alone(circle: slamcli.Mapper) -> None:

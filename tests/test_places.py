@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -117,3 +118,20 @@ def test_recalling_is_the_same_each_time() -> None:
             index.add(number, world.look(Pose2(0.1 * number), number))
         answers.append(index.recall(world.look(Pose2(0.45, 0.1, 1.0), 99)))
     assert answers[0] == answers[1]
+
+
+def test_an_index_goes_on_from_a_kept_state_as_if_it_had_not_been_cut_off() -> None:
+    world = Landmarks(4000, 1)
+    looks = [world.look(Pose2(0.05 * number), number % 3) for number in range(40)]
+    whole, kept = PlaceIndex(), PlaceIndex()
+    for number, seen in enumerate(looks):
+        whole.add(number, seen)
+        kept.add(number, seen)
+        if number == 24:
+            state = pickle.dumps(kept)
+            assert len(state) < 2e6
+            kept = pickle.loads(state)
+    np.testing.assert_array_equal(kept._heads, whole._heads)
+    now = world.look(Pose2(0.45, 0.1, 1.0), 99)
+    assert kept.recall(now) == whole.recall(now) != []
+    assert pickle.loads(pickle.dumps(PlaceIndex())).recall(now) == []

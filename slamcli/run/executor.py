@@ -53,21 +53,33 @@ def ordered(
     InputError
         When the cluster cannot be reached.
     """
+    pending: deque[Future[Result]] = deque()
+    with _alone(), _executor(workers, scheduler) as (executor, ahead):
+        try:
+            for item in items:
+                pending.append(executor.submit(function, item))
+                if len(pending) > ahead:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            for future in pending:
+                future.cancel()
+
+
+@contextmanager
+def threads(workers: int) -> Iterator[Executor]:
+    """Yield so many threads, OpenCV's own switched off meanwhile."""
+    with _alone(), ThreadPoolExecutor(workers) as executor:
+        yield executor
+
+
+@contextmanager
+def _alone() -> Iterator[None]:
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
-    pending: deque[Future[Result]] = deque()
     try:
-        with _executor(workers, scheduler) as (executor, ahead):
-            try:
-                for item in items:
-                    pending.append(executor.submit(function, item))
-                    if len(pending) > ahead:
-                        yield pending.popleft().result()
-                while pending:
-                    yield pending.popleft().result()
-            finally:
-                for future in pending:
-                    future.cancel()
+        yield
     finally:
         cv2.setNumThreads(before)
 
@@ -79,5 +91,5 @@ def _executor(workers: int, scheduler: str) -> Iterator[tuple[Executor, int]]:
         with connected(scheduler) as cluster:
             yield cluster, 2 * cluster.processors
     else:
-        with ThreadPoolExecutor(workers) as threads:
-            yield threads, 2 * workers
+        with ThreadPoolExecutor(workers) as executor:
+            yield executor, 2 * workers

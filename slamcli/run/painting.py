@@ -142,10 +142,11 @@ def paint_scene(
     work = partial(_paint, painter, scene, pictures)
     left = [(key, numbers) for key, numbers in plan if (key.row, key.column) not in store]
     if left:
-        started = time.perf_counter()
-        first = left.pop(len(left) // 2)
-        for tile in ordered(work, [first], 1):
-            store.put(first[0].row, first[0].column, tile)
+        # A tile on each processor, so that none of them waits for the estimate.
+        started, middle = time.perf_counter(), len(left) // 2
+        first, left = left[middle : middle + workers], left[:middle] + left[middle + workers :]
+        for (key, _), tile in zip(first, ordered(work, first, workers), strict=True):
+            store.put(key.row, key.column, tile)
         seconds = (time.perf_counter() - started) * len(left) / workers
         held = min(most, len(scene.shots))
         tell(estimate(painter, plan, options, held, seconds, workers))

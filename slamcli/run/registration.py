@@ -10,7 +10,7 @@ from slamcli.core.records import Prepared
 from slamcli.io.frames import read_frame
 from slamcli.mapper import Mapper
 from slamcli.refine import Registration
-from slamcli.run.executor import ordered
+from slamcli.run.executor import ordered, threads
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -46,6 +46,12 @@ def walk(
         yield done
 
 
+def finish(mapper: Mapper, workers: int) -> None:
+    """Weigh all that a mapper has measured, its loops looked for on so many threads."""
+    with threads(workers) as executor:
+        mapper.finish(executor.map)
+
+
 def register(
     files: Sequence[FrameFile],
     options: MapperOptions,
@@ -57,7 +63,7 @@ def register(
     mapper = Mapper(calibration, options)
     for _ in walk(mapper, files, workers, progress):
         pass
-    mapper.finish()
+    finish(mapper, workers)
     return registration_of(mapper)
 
 

@@ -30,7 +30,7 @@ from slamcli.run.networks import (
 )
 from slamcli.run.painting import scenes_of
 from slamcli.run.refinement import self_calibrate
-from slamcli.run.registration import registration_of, walk
+from slamcli.run.registration import finish, registration_of, walk
 from slamcli.run.telemetry import Telemetry, TelemetryFiles, feed, feed_shifted, read_telemetry
 from slamcli.run.trials import draw_trials
 
@@ -281,7 +281,7 @@ def _locate(
         if stop:
             break
     note = feed_shifted(mapper, readings) if readings.find_time_offset else ""
-    mapper.finish()
+    finish(mapper, options.workers)
     return note
 
 

@@ -10,7 +10,7 @@ of constant scale), and chance does not.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -45,6 +45,7 @@ _LEAST_BASE = 10.0
 _REFITS = 2
 _FIRST_CAPACITY = 1024
 _WORD_BYTES = 8
+_REBUILT_AT_ONCE = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +90,30 @@ class PlaceIndex:
         self._first_words = np.empty(0, np.uint64)
         self._points = np.empty((0, 3), np.float32)
         self._keyframe_of = np.empty(0, np.int32)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but the tables' heads, which are mostly empty and follow from the rest."""
+        count = self._count
+        return {
+            **vars(self),
+            "_heads": self._heads[:, :0],
+            "_next": self._next[:count],
+            "_words": self._words[:count],
+            "_first_words": self._first_words[:count],
+            "_points": self._points[:count],
+            "_keyframe_of": self._keyframe_of[:count],
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        if not self._bits.size:
+            return
+        self._heads = self._empty_heads()
+        for first in range(0, self._count, _REBUILT_AT_ONCE):
+            keys = self._keys(self._words[first : first + _REBUILT_AT_ONCE])
+            # Of entries that share a bucket the last one stays, which is the one read first.
+            for table, buckets in enumerate(keys.T):
+                self._heads[table, buckets] = np.arange(first, first + len(keys), dtype=np.int32)
 
     def add(self, keyframe: int, features: Features) -> None:
         """Remember a keyframe's strongest points under a number (32 bits) of the caller's."""
@@ -148,7 +173,10 @@ class PlaceIndex:
         self._bits = np.stack(
             [generator.choice(length, key_bits, replace=False) for _ in range(_TABLES)]
         )
-        self._heads = np.full((_TABLES, 2**key_bits), -1, np.int32)
+        self._heads = self._empty_heads()
+
+    def _empty_heads(self) -> NDArray[np.int32]:
+        return np.full((_TABLES, 2 ** self._bits.shape[1]), -1, np.int32)
 
     def _reserve(self, count: int, words: int) -> None:
         """Make room for so many entries; doubling makes that cheap on average."""
