@@ -133,5 +133,6 @@ def mapper_of(told: Mapping[str, Any]) -> MapperOptions:
         dense=told["dense"],
         search_angle_degrees=told["search_angle"],
         max_rival_evidence=told["max_rival"],
+        max_step_metres=told["max_step_metres"],
         loops=told["loops"],
     )
