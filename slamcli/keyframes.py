@@ -7,7 +7,7 @@ error is below a camera's own noise; the pyramid is made anew from them.
 from __future__ import annotations
 
 from dataclasses import replace
-from threading import Lock
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import cv2
@@ -62,8 +62,7 @@ class Expander:
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
-        self._ready: dict[int, Prepared] = {}
-        self._lock = Lock()
+        self._ready = lru_cache(maxsize=_MOST_READY)(partial(_expand, grid))
 
     def __reduce__(self) -> tuple[type[Expander], tuple[Grid]]:
         return Expander, (self.grid,)
@@ -76,34 +75,27 @@ class Expander:
         FrameError
             When its pictures are not of the grid's views.
         """
-        with self._lock:
-            prepared = self._ready.pop(keyframe.index, None)
-        if prepared is None:
-            prepared = self._expand(keyframe)
-        with self._lock:
-            self._ready[keyframe.index] = prepared
-            while len(self._ready) > _MOST_READY:
-                del self._ready[next(iter(self._ready))]
-        return prepared
+        return self._ready(keyframe)
 
-    def _expand(self, keyframe: Keyframe) -> Prepared:
-        shape = -(-self.grid.height // 2), -(-self.grid.width // 2)
-        image, mask = _decode(keyframe.image), _decode(keyframe.mask)
-        if image is None or mask is None or image.shape != shape or mask.shape != shape:
-            raise FrameError(f"keyframe {keyframe.name}: its pictures cannot be used")
-        levels = dense.levels_from_half(image, mask, self.grid)
-        features = keyframe.features
-        if features.norm == "l2":
-            features = replace(features, descriptors=features.descriptors.astype(np.float32))
-        return Prepared(
-            keyframe.index,
-            keyframe.name,
-            keyframe.stamp,
-            None,
-            features,
-            "",
-            levels,
-        )
+
+def _expand(grid: Grid, keyframe: Keyframe) -> Prepared:
+    shape = -(-grid.height // 2), -(-grid.width // 2)
+    image, mask = _decode(keyframe.image), _decode(keyframe.mask)
+    if image is None or mask is None or image.shape != shape or mask.shape != shape:
+        raise FrameError(f"keyframe {keyframe.name}: its pictures cannot be used")
+    levels = dense.levels_from_half(image, mask, grid)
+    features = keyframe.features
+    if features.norm == "l2":
+        features = replace(features, descriptors=features.descriptors.astype(np.float32))
+    return Prepared(
+        keyframe.index,
+        keyframe.name,
+        keyframe.stamp,
+        None,
+        features,
+        "",
+        levels,
+    )
 
 
 def _decode(encoded: bytes) -> NDArray[np.uint8] | None:

@@ -171,17 +171,13 @@ class Loops:
             only what it is tied to itself, among the older ones, is not asked for again.
         """
         ties = _Ties(self._known)
-        ties.update(graph.links)
         found: list[Link] = []
         for attempts in (self._by_poses(graph), self._by_appearance(graph)):
+            ties.update([*graph.links, *found])
             by_keyframe = (list(group) for _, group in groupby(attempts, lambda one: one.b))
-            closed: list[Link] = []
             while listed := list(islice(by_keyframe, _LISTED)):
                 for links in spread(partial(self._close_one, ties), listed):
-                    closed += links
-            for link in closed:
-                ties.add(link)
-            found += closed
+                    found += links
         return found + self._between_fragments(graph)
 
     def _close_one(self, ties: _Ties, attempts: Sequence[_Attempt]) -> list[Link]:
@@ -306,13 +302,10 @@ class _Ties:
     def update(self, links: Sequence[Link]) -> None:
         """Take in the links that have come since; a link that is there stays for good."""
         for link in links[self._count :]:
-            self.add(link)
+            if link.a in self._known and link.b in self._known:
+                self._tied.setdefault(link.a, []).append(link.b)
+                self._tied.setdefault(link.b, []).append(link.a)
         self._count = len(links)
-
-    def add(self, link: Link) -> None:
-        if link.a in self._known and link.b in self._known:
-            self._tied.setdefault(link.a, []).append(link.b)
-            self._tied.setdefault(link.b, []).append(link.a)
 
     def beside(self, a: int, b: int, more: Sequence[Link] = ()) -> bool:
         """Return whether b is tied to a already, or to a keyframe right before or after it.

@@ -89,7 +89,7 @@ class Painter:
             outline = shot.map_from_robot.apply(self.hull)
             for key in tiles.tiles_under(outline, self.metres_per_pixel):
                 seen.setdefault(key, []).append(number)
-        return sorted(seen.items(), key=lambda item: (item[1][0], item[0]))
+        return list(seen.items())
 
     def picture(self, frame: Frame, number: int) -> Picture:
         """Return a frame's pyramid, evenly lit; `number` is its shot's place in the sequence."""

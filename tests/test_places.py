@@ -132,6 +132,7 @@ def test_an_index_goes_on_from_a_kept_state_as_if_it_had_not_been_cut_off() -> N
             assert len(state) < 2e6
             kept = pickle.loads(state)
     np.testing.assert_array_equal(kept._heads, whole._heads)
+    np.testing.assert_array_equal(kept._next[: kept._count], whole._next[: whole._count])
     now = world.look(Pose2(0.45, 0.1, 1.0), 99)
     assert kept.recall(now) == whole.recall(now) != []
     assert pickle.loads(pickle.dumps(PlaceIndex())).recall(now) == []

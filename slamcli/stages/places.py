@@ -92,12 +92,12 @@ class PlaceIndex:
         self._keyframe_of = np.empty(0, np.int32)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all but the tables' heads, which are mostly empty and follow from the rest."""
+        """Return all but the buckets, which are mostly empty and follow from the rest."""
         count = self._count
         return {
             **vars(self),
             "_heads": self._heads[:, :0],
-            "_next": self._next[:count],
+            "_next": self._next[:0],
             "_words": self._words[:count],
             "_first_words": self._first_words[:count],
             "_points": self._points[:count],
@@ -109,11 +109,9 @@ class PlaceIndex:
         if not self._bits.size:
             return
         self._heads = self._empty_heads()
+        self._next = np.empty((self._count, _TABLES), np.int32)
         for first in range(0, self._count, _REBUILT_AT_ONCE):
-            keys = self._keys(self._words[first : first + _REBUILT_AT_ONCE])
-            # Of entries that share a bucket the last one stays, which is the one read first.
-            for table, buckets in enumerate(keys.T):
-                self._heads[table, buckets] = np.arange(first, first + len(keys), dtype=np.int32)
+            self._chain(self._words[first : first + _REBUILT_AT_ONCE], first)
 
     def add(self, keyframe: int, features: Features) -> None:
         """Remember a keyframe's strongest points under a number (32 bits) of the caller's."""
@@ -130,8 +128,7 @@ class PlaceIndex:
         self._first_words[entries] = words[:, 0]
         self._points[entries] = _points_of(features, chosen)
         self._keyframe_of[entries] = keyframe
-        for table, keys in enumerate(self._keys(words).T):
-            self._chain(table, keys, first)
+        self._chain(words, first)
         self._count += len(chosen)
 
     def recall(self, features: Features, excluded: frozenset[int] = frozenset()) -> list[Place]:
@@ -196,16 +193,18 @@ class PlaceIndex:
         weights = 1 << np.arange(self._bits.shape[1], dtype=np.int64)
         return np.asarray(bits[:, self._bits].astype(np.int64) @ weights)
 
-    def _chain(self, table: int, keys: NDArray[np.int64], first: int) -> None:
+    def _chain(self, words: NDArray[np.uint64], first: int) -> None:
         """Put entries, numbered from `first` on, in front of what their buckets hold already."""
-        order = np.argsort(keys, kind="stable")
-        ordered = keys[order]
-        entries = (first + order).astype(np.int32)
-        follows = np.r_[False, ordered[1:] == ordered[:-1]]
-        before = np.where(follows, np.r_[np.int32(-1), entries[:-1]], self._heads[table, ordered])
-        self._next[entries, table] = before
-        last = np.r_[~follows[1:], True]
-        self._heads[table, ordered[last]] = entries[last]
+        for table, keys in enumerate(self._keys(words).T):
+            order = np.argsort(keys, kind="stable")
+            ordered = keys[order]
+            entries = (first + order).astype(np.int32)
+            follows = np.r_[False, ordered[1:] == ordered[:-1]]
+            heads = self._heads[table]
+            before = np.where(follows, np.r_[np.int32(-1), entries[:-1]], heads[ordered])
+            self._next[entries, table] = before
+            last = np.r_[~follows[1:], True]
+            heads[ordered[last]] = entries[last]
 
     def _look_up(
         self, words: NDArray[np.uint64]
