@@ -15,7 +15,7 @@ from slamcli.core.config import PaintOptions
 from slamcli.core.geometry import Grid
 from slamcli.core.records import Tile
 from slamcli.stages import camera
-from slamcli.stages.mosaic import agreement, blend, exposure, obstacles, sampling, tiles
+from slamcli.stages.mosaic import agreement, blend, obstacles, sampling, tiles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -69,7 +69,7 @@ class Painter:
         displaced = _DISPLACED_SHARE * calibration.max_range_metres / coarsest
         self._reach = min(_MOST_REACH_CELLS, max(1, round(displaced)))
         self._light = light
-        self._brightening = exposure.brightening_image(
+        self._brightening = sampling.brightening(
             calibration.image_size, light.vignetting if light else (0.0, 0.0)
         )
 
@@ -94,8 +94,9 @@ class Painter:
     def picture(self, frame: Frame, number: int) -> Picture:
         """Return a frame's pyramid, evenly lit; `number` is its shot's place in the sequence."""
         gain = float(self._light.gains[number]) if self._light else 1.0
-        image = exposure.correct(frame.image, gain, self._brightening)
-        return sampling.make_picture(image, self._usable, frame.mask, self._depth)
+        return sampling.make_picture(
+            frame.image, self._usable, frame.mask, self._depth, gain, self._brightening
+        )
 
     def blank(self) -> Picture:
         """Return a picture that shows nothing, for a frame that can no longer be read."""

@@ -159,7 +159,8 @@ def test_vignetting_is_found_and_taken_back() -> None:
     falls = exposure.brightening_image(calibration.image_size, (-0.25, 0.0))
     assert falls is not None
     frames = [
-        replace(frame, image=np.rint(frame.image * falls).astype(np.uint8)) for frame in pictures()
+        replace(frame, image=np.rint(frame.image * falls[..., None]).astype(np.uint8))
+        for frame in pictures()
     ]
     light = solved(frames, calibration)
     radius = np.array([0.2, 0.5, 0.9])

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from slamcli.core.errors import FrameError, InputError
@@ -15,7 +17,7 @@ from slamcli.io.frames import read_frame, read_reduced_gray
 from slamcli.io.tilestore import TileStore
 from slamcli.painter import Painter
 from slamcli.run.executor import ordered
-from slamcli.run.pictures import Pictures, most_pictures, size_text
+from slamcli.run.pictures import Pictures, most_at_once, most_pictures, size_text
 from slamcli.stages import camera
 from slamcli.stages.mosaic import exposure, tiles
 from slamcli.track import placed_fragments
@@ -138,9 +140,10 @@ def paint_scene(
         raise InputError("no frame sees anything of that crop; poses.csv tells where they are")
     canvas = workers * _tile_bytes(plan)
     most = most_pictures(painter.picture_bytes, options.memory_bytes, canvas, workers)
-    pictures = Pictures(partial(_picture, painter, scene), most)
-    work = partial(_paint, painter, scene, pictures)
     left = [(key, numbers) for key, numbers in plan if (key.row, key.column) not in store]
+    uses = Counter(chain.from_iterable(numbers for _, numbers in left))
+    pictures = Pictures(partial(_picture, painter, scene), most, uses)
+    work = partial(_paint, painter, scene, pictures)
     if left:
         # A tile on each processor, so that none of them waits for the estimate.
         started, middle = time.perf_counter(), len(left) // 2
@@ -148,7 +151,7 @@ def paint_scene(
         for (key, _), tile in zip(first, ordered(work, first, workers), strict=True):
             store.put(key.row, key.column, tile)
         seconds = (time.perf_counter() - started) * len(left) / workers
-        held = min(most, len(scene.shots))
+        held = min(most, most_at_once([numbers for _, numbers in plan]))
         tell(estimate(painter, plan, options, held, seconds, workers))
     done = len(plan) - len(left)
     for (key, _), tile in zip(left, ordered(work, left, workers, scheduler), strict=False):
@@ -272,4 +275,6 @@ def _paint(
     painter: Painter, scene: Scene, pictures: Pictures, item: tuple[TileKey, list[int]]
 ) -> Tile | None:
     key, numbers = item
-    return painter.paint(key, scene.shots, numbers, pictures)
+    tile = painter.paint(key, scene.shots, numbers, pictures)
+    pictures.done(numbers)
+    return tile

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from slamcli.core.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from slamcli.stages.mosaic.sampling import Picture
 
@@ -24,21 +24,30 @@ _RESIDENT = Path("/proc/self/statm")
 class Pictures:
     """The pictures last used; may be shared by threads, and starts anew in another process.
 
+    Memory that is touched for the first time costs more than decoding into it: what no tile will
+    ask for again makes room at once.
+
     Parameters
     ----------
     make : function
         From a number to its picture; called once for each that is not at hand.
     most : int
         How many are kept.
+    uses : mapping or None
+        How many tiles will be `done` with each number; None when it is not known.
     """
 
-    def __init__(self, make: Callable[[int], Picture], most: int) -> None:
+    def __init__(
+        self, make: Callable[[int], Picture], most: int, uses: Mapping[int, int] | None = None
+    ) -> None:
         self._make = make
         self._most = max(1, most)
+        self._left = dict(uses or {})
         self._lock = Lock()
         self._kept: OrderedDict[int, Future[Picture]] = OrderedDict()
 
     def __reduce__(self) -> tuple[type[Pictures], tuple[Callable[[int], Picture], int]]:
+        # Which tiles another process will paint is not known.
         return Pictures, (self._make, self._most)
 
     def __call__(self, number: int) -> Picture:
@@ -58,6 +67,32 @@ class Pictures:
                 future.set_exception(error)
                 raise
         return future.result()
+
+    def done(self, numbers: Iterable[int]) -> None:
+        """Take note that one of the tiles that need these is painted."""
+        with self._lock:
+            for number in numbers:
+                self._left[number] = self._left.get(number, 0) - 1
+                if self._left[number] == 0:
+                    self._kept.pop(number, None)
+
+
+def most_at_once(needed: Sequence[Sequence[int]]) -> int:
+    """Return how many pictures are held when each is dropped after the last tile that needs it.
+
+    Parameters
+    ----------
+    needed : sequence of sequence of int
+        The numbers that each tile needs, in the tiles' order.
+    """
+    last = {number: place for place, numbers in enumerate(needed) for number in numbers}
+    held: set[int] = set()
+    most = 0
+    for place, numbers in enumerate(needed):
+        held |= set(numbers)
+        most = max(most, len(held))
+        held -= {number for number in numbers if last[number] == place}
+    return most
 
 
 def most_pictures(picture_bytes: int, memory_bytes: int, canvas_bytes: int, workers: int) -> int:

@@ -218,12 +218,12 @@ def _some_of_each(kind: NDArray[np.int64], most: int) -> NDArray[np.int64]:
 def correct(
     image: NDArray[np.uint8], gain: float, brightening: NDArray[np.float32] | None
 ) -> NDArray[np.uint8]:
-    """Return a picture (H, W[, 3]) as a lens without vignetting and the common exposure show it.
+    """Return a picture (h, w, 3) as a lens without vignetting and the common exposure show it.
 
     Parameters
     ----------
-    brightening : (H, W, 3) float32 or None
-        From `brightening_image`; None when the lens is even.
+    brightening : (h, w) float32 or None
+        What undoes the vignetting, from `brightening_image`; None when the lens is even.
     """
     if gain != 1.0:
         levels = np.arange(256.0)
@@ -234,22 +234,24 @@ def correct(
         image = np.asarray(cv2.LUT(image, table), np.uint8)
     if brightening is None:
         return image
-    factor = brightening[..., 0] if image.ndim == 2 else brightening
+    factor = cv2.merge([brightening] * 3)
     return np.asarray(cv2.multiply(image, factor, dtype=cv2.CV_8U), np.uint8)
 
 
 def brightening_image(
-    image_size: tuple[int, int], vignetting: tuple[float, float]
+    image_size: tuple[int, int], vignetting: tuple[float, float], step: int = 1
 ) -> NDArray[np.float32] | None:
-    """Return (H, W, 3): what undoes the vignetting, of each channel; None when there is none."""
+    """Return (h, w): what undoes the vignetting, of every so manyth pixel; None when there is none.
+
+    The last row and column lie on the picture's border or beyond it.
+    """
     if vignetting == (0.0, 0.0):
         return None
     centre_x, centre_y = camera.image_centre(image_size)
-    across = (np.arange(image_size[0]) - centre_x) ** 2
-    down = (np.arange(image_size[1]) - centre_y) ** 2
+    columns, rows = (step * np.arange(-(-(side - 1) // step) + 1) for side in image_size)
+    across, down = (columns - centre_x) ** 2, (rows - centre_y) ** 2
     radius = (across[None, :] + down[:, None]) / (centre_x**2 + centre_y**2)
-    factor = np.exp(vignetting[0] * radius + vignetting[1] * radius**2).astype(np.float32)
-    return np.asarray(cv2.merge([factor] * 3), np.float32)
+    return np.exp(vignetting[0] * radius + vignetting[1] * radius**2).astype(np.float32)
 
 
 def _solve_weighted(

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import cv2
 import numpy as np
 
 from slamcli.core.geometry import Grid, apply_homography
 from slamcli.stages import camera
+from slamcli.stages.mosaic import exposure
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from slamcli.core.geometry import Pose2
     from slamcli.core.records import Calibration
+
+Value = TypeVar("Value", np.uint8, np.float32)
 
 # Towards the border of what a picture shows its weight falls to nothing over this many pixels.
 BORDER_PIXELS = 24
@@ -26,6 +29,8 @@ _LATTICE_PIXELS = 8
 _LARGE_PIXELS = 128
 _OUT_OF_SIGHT = -1.0e4
 _LEAST_DEPTH = 1.0e-6
+# Vignetting changes so slowly that a value for each of so many pixels, each way, is enough.
+_BRIGHTENING_LEVEL = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,10 +43,16 @@ class Picture:
         The image pyramid; each level has every other pixel of the one before.
     usable : (H, W) uint8
         From `border_fade`, 0 where the frame's own mask hides the floor.
+    gain : float
+        What makes it as bright as the others.
+    brightening : (h, w) float32 or None
+        From `brightening`.
     """
 
     levels: tuple[NDArray[np.uint8], ...]
     usable: NDArray[np.uint8]
+    gain: float
+    brightening: NDArray[np.float32] | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,8 +88,20 @@ def border_fade(sharpness: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.asarray(np.ceil(fade), np.uint8)
 
 
+def brightening(
+    image_size: tuple[int, int], vignetting: tuple[float, float]
+) -> NDArray[np.float32] | None:
+    """Return what undoes a lens's vignetting, as a `Picture` keeps it; None for an even lens."""
+    return exposure.brightening_image(image_size, vignetting, 2**_BRIGHTENING_LEVEL)
+
+
 def make_picture(
-    image: NDArray[np.uint8], usable: NDArray[np.uint8], mask: NDArray[np.uint8] | None, depth: int
+    image: NDArray[np.uint8],
+    usable: NDArray[np.uint8],
+    mask: NDArray[np.uint8] | None,
+    depth: int,
+    gain: float = 1.0,
+    brightening: NDArray[np.float32] | None = None,
 ) -> Picture:
     """Return a frame's pyramid of `depth` + 1 levels, and which of its pixels may be used.
 
@@ -89,6 +112,9 @@ def make_picture(
         From `border_fade`.
     mask : (H, W) uint8 or None
         The frame's own; 255 where the picture is opaque.
+    gain : float
+    brightening : (h, w) float32 or None
+        As in `Picture`. What is read is corrected, not the picture: that is much less.
     """
     if image.ndim == 2:
         image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
@@ -99,7 +125,7 @@ def make_picture(
         # What lies between an opaque pixel and another is a mixture.
         opaque = cv2.erode(mask, np.ones((3, 3), np.uint8))
         usable = np.where(opaque == 255, usable, np.uint8(0))
-    return Picture(tuple(levels), usable)
+    return Picture(tuple(levels), usable, gain, brightening)
 
 
 def pyramid_depth(calibration: Calibration, metres_per_pixel: float) -> int:
@@ -153,6 +179,7 @@ def sample(
             continue
         rows, columns = slice(top, top + height), slice(left, left + width)
         read = _read(picture.levels[number], number, look, rows, columns, smooth=smooth)
+        read = _lit(read, picture, look, rows, columns)
         cv2.copyTo(read, band[rows, columns], image[rows, columns])
     return Sample(image, look.weight, look.sharpness)
 
@@ -239,15 +266,26 @@ def _sharpness(
     return np.asarray(cv2.pow(depth, -1.5), np.float32)
 
 
+def _lit(
+    read: NDArray[np.uint8], picture: Picture, look: _Look, rows: slice, columns: slice
+) -> NDArray[np.uint8]:
+    """Return part of a raster, as it was read, as bright as the other frames and evenly so."""
+    factor = None
+    if picture.brightening is not None:
+        here = _read(picture.brightening, _BRIGHTENING_LEVEL, look, rows, columns, smooth=False)
+        factor = np.asarray(here, np.float32)
+    return exposure.correct(read, picture.gain, factor)
+
+
 def _read(
-    level: NDArray[np.uint8],
+    level: NDArray[Value],
     number: int,
     look: _Look,
     rows: slice,
     columns: slice,
     *,
     smooth: bool,
-) -> NDArray[np.uint8]:
+) -> NDArray[Value]:
     """Read part of a raster from one pyramid level, whose pixel k is 2^number k of the picture."""
     method = cv2.INTER_CUBIC if smooth else cv2.INTER_LINEAR
     scale = 0.5**number
@@ -263,7 +301,7 @@ def _read(
             flags=method | cv2.WARP_INVERSE_MAP,
             borderMode=cv2.BORDER_REPLICATE,
         )
-    return np.asarray(read, np.uint8)
+    return np.asarray(read, level.dtype)
 
 
 def _lens_map(
