@@ -44,6 +44,9 @@ if TYPE_CHECKING:
 # Frames so near in time may be searched for anywhere in each other.
 _MOST_UNGUIDED_STEPS = 2
 _SEARCHED_SIGMAS = 3.0
+# A second keyframe tells whether the first fit was right, however little it shares; a third that
+# shares less than this makes a pose no better known.
+_LEAST_OVERLAP_OF_THIRD = 0.4
 
 
 class Mapper:
@@ -280,20 +283,20 @@ class Mapper:
             self._loops.adopt(keyframe)
 
     def _compare(self, prepared: Prepared, before: Prepared | None) -> list[Trial]:
-        """Try the latest keyframes, newest first: all that overlap once one has been believed.
+        """Try the latest keyframes, newest first: those that tell more once one has been believed.
 
         When none is, the frame before is tried, on its pixels too, and at last near to where the
         robot's latest motion would have brought it: there descriptors compete with fewer others.
         """
         trials: list[Trial] = []
-        least = self.options.min_overlap
         for keyframe in reversed(self._keyframes):
-            believed = next((t for t in trials if t.link is not None), None)
+            believed = [trial for trial in trials if trial.link is not None]
             guess = None
-            if believed is not None:
-                if believed.overlap >= self.options.keyframe_overlap:
+            if believed:
+                if believed[0].overlap >= self.options.keyframe_overlap:
                     break
-                guess = self._predict(believed, keyframe)
+                guess = self._predict(believed[0], keyframe)
+                least = self.options.min_overlap if len(believed) < 2 else _LEAST_OVERLAP_OF_THIRD
                 if guess is None or self._overlap(keyframe, prepared, guess) < least:
                     continue
             trials.append(self._try(keyframe, prepared, guess))

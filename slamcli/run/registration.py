@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def read_and_prepare(prepare: Callable[[Frame], Prepared], file: FrameFile) -> Prepared:
     """Return a frame ready to be placed, or with the reason why it cannot be used."""
     try:
-        return prepare(read_frame(file))
+        return prepare(read_frame(file, gray=True))
     except FrameError as error:
         return Prepared(file.index, file.name, file.stamp, None, None, str(error))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import cv2
@@ -265,6 +266,7 @@ def default_metres_per_pixel(calibration: Calibration) -> float:
     return power * max(step for step in _ROUND_STEPS if step * power <= typical * (1 + 1e-9))
 
 
+@lru_cache(maxsize=2)
 def sharpness_image(calibration: Calibration) -> NDArray[np.float32]:
     """Return (H, W): how many pixels a metre of floor spans, at each pixel of the camera's picture.
 
@@ -285,6 +287,8 @@ def sharpness_image(calibration: Calibration) -> NDArray[np.float32]:
     determinant = abs(float(np.linalg.det(calibration.robot_from_image)))
     sharpness = np.zeros((height, width), dtype=np.float32)
     np.sqrt(w**3 / np.float32(determinant), out=sharpness, where=seen)
+    # All who ask are given the same array.
+    sharpness.setflags(write=False)
     return sharpness
 
 

@@ -9,6 +9,7 @@ of a pixel.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,9 +55,9 @@ def refine(
 
 def _laplacian(image: NDArray[np.uint8], corners: NDArray[np.int64]) -> NDArray[np.float32]:
     """Return (N, r, r) responses around the corners, made positive at each corner itself."""
-    span = np.arange(-_PATCH_RADIUS, _PATCH_RADIUS + 1)
-    columns, rows = corners[:, 0, None] + span, corners[:, 1, None] + span
-    patches = image[rows[:, :, None], columns[:, None, :]].astype(np.float32)
+    windows = np.lib.stride_tricks.sliding_window_view(image, (2 * _PATCH_RADIUS + 1,) * 2)
+    columns, rows = corners.T - _PATCH_RADIUS
+    patches = windows[rows, columns].astype(np.float32)
     smooth, curved = _kernels()
     # Along the rows of all patches at once, then down their columns: two large products.
     side, ring = patches.shape[1], len(smooth)
@@ -69,6 +70,7 @@ def _laplacian(image: NDArray[np.uint8], corners: NDArray[np.int64]) -> NDArray[
     return signed
 
 
+@lru_cache(maxsize=1)
 def _kernels() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return a Gaussian and its second derivative as (response, patch) band matrices."""
     response = np.arange(-_RESPONSE_RADIUS, _RESPONSE_RADIUS + 1)[:, None]
