@@ -11,6 +11,7 @@ from PIL import Image
 
 from slamcli.core.errors import FrameError, InputError
 from slamcli.io.frames import list_frames, read_frame, read_image
+from slamcli.stages.view import to_gray
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -93,6 +94,29 @@ def test_cmyk_is_converted(tmp_path: Path) -> None:
     blue, green, red = read_image(tmp_path / "c.jpg")[24, 32].astype(int)
     assert red > 200
     assert max(blue, green) < 80
+
+
+@pytest.mark.parametrize("kind", ["jpg", "png", "webp", "tif", "turned", "cmyk", "deep", "rgba"])
+def test_gray_is_what_the_colours_come_to(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / f"0.{kind if len(kind) < 5 and kind in {'jpg', 'webp', 'tif'} else 'png'}"
+    picture = Image.fromarray(RED_LEFT[..., ::-1])
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    if kind == "turned":
+        path = tmp_path / "0.jpg"
+        picture.save(path, exif=exif, quality=95)
+    elif kind == "cmyk":
+        path = tmp_path / "0.jpg"
+        picture.convert("CMYK").save(path, quality=95)
+    elif kind == "deep":
+        save(path, RED_LEFT.astype(np.uint16) * 257)
+    elif kind == "rgba":
+        save(path, np.dstack([RED_LEFT, np.full(RED_LEFT.shape[:2], 255, np.uint8)]))
+    else:
+        picture.save(path)
+    (file,) = list_frames([tmp_path])
+    gray = to_gray(read_frame(file, gray=True).image).astype(int)
+    assert np.abs(gray - to_gray(read_frame(file).image)).max() <= 2
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "png"])

@@ -24,6 +24,7 @@ from slamcli.io import deepzoom, geotiff, rasters
 from slamcli.io.checkpoints import Checkpoint, run_key
 from slamcli.io.tilestore import TileStore
 from slamcli.run import pictures
+from slamcli.stages.mosaic.sampling import Picture
 
 rasterio = pytest.importorskip("rasterio")
 warp = pytest.importorskip("rasterio.warp")
@@ -248,6 +249,26 @@ def test_pictures_get_what_the_process_leaves_of_the_memory(
     assert 0 < held[190] < 10
     monkeypatch.setattr(pictures, "_RESIDENT", tmp_path / "nowhere")
     assert pictures.most_pictures(1_000_000, 200_000_000, 20_000_000, 2) == 180
+
+
+def test_a_picture_leaves_memory_with_the_last_tile_that_needs_it() -> None:
+    needed = [[0, 1, 2], [2, 3], [1, 3, 4]]
+    assert pictures.most_at_once(needed) == 3
+    made: list[int] = []
+
+    def make(number: int) -> Picture:
+        made.append(number)
+        return Picture((), np.zeros((1, 1), np.uint8), 1.0, None)
+
+    kept = pictures.Pictures(make, 9, {0: 1, 1: 2, 2: 2, 3: 2, 4: 1})
+    for numbers in needed:
+        for number in numbers:
+            kept(number)
+        kept.done(numbers)
+    assert made == [0, 1, 2, 3, 4]
+    for number in range(5):
+        kept(number)
+    assert made == [0, 1, 2, 3, 4] * 2
 
 
 def test_a_missing_library_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:

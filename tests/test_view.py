@@ -8,7 +8,9 @@ import pytest
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.core.records import Calibration, Frame, View
+from slamcli.core.simulation import CameraOptions
 from slamcli.stages import camera, view
+from slamcli.stages.simulate import photograph
 
 
 def calibration_of(pitch_degrees: float = 40.0) -> Calibration:
@@ -52,6 +54,15 @@ def test_the_view_shows_each_spot_of_the_floor_at_its_place() -> None:
     error = seen.image[rows, columns] - brightness(floor, 0.2)
     assert np.abs(error).max() < 6.0
     assert abs(error.mean()) < 0.1
+
+
+@pytest.mark.parametrize(("size", "megapixels"), [((640, 480), 1.0), ((1920, 1080), 0.5)])
+def test_a_large_picture_is_matched_at_fewer_pixels(
+    size: tuple[int, int], megapixels: float
+) -> None:
+    calibration = photograph.make_camera(CameraOptions(size=size))
+    grid = camera.footprint(calibration, view.registration_metres_per_pixel(calibration))
+    assert grid.width * grid.height == pytest.approx(1e6 * megapixels, rel=0.02)
 
 
 def test_fine_texture_does_not_alias_where_the_raster_is_coarse() -> None:
