@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 # Frames so near in time may be searched for anywhere in each other.
 _MOST_UNGUIDED_STEPS = 2
 _SEARCHED_SIGMAS = 3.0
-# A second keyframe tells whether the first fit was right, however little it shares; a third that
-# shares less than this makes a pose no better known.
+# A second keyframe tells whether the first fit was right, however little it shares. A third that
+# shares less than this makes a steady camera's pose no better known, and a rocking one's worse.
 _LEAST_OVERLAP_OF_THIRD = 0.4
 
 

@@ -226,7 +226,7 @@ class MapperOptions:
     matching: MatchOptions = field(default_factory=MatchOptions)
     metres_per_pixel: float | None = None
     recent_keyframes: int = 5
-    keyframe_overlap: float = 0.6
+    keyframe_overlap: float = 0.7
     min_overlap: float = 0.1
     max_turn_degrees: float = 75.0
     min_score: float = 0.3
