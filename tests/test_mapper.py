@@ -10,6 +10,7 @@ import pytest
 import slamcli
 from slamcli.core.geometry import Pose2
 from slamcli.core.simulation import CameraOptions, DisturbanceOptions
+from slamcli.stages import covisibility
 from slamcli.stages.simulate import floors, photograph
 
 CAMERA = CameraOptions(size=(400, 300), height_metres=0.2, pitch_degrees=45.0)
@@ -45,6 +46,24 @@ def test_a_drive_is_located_to_a_millimetre(photographer: photograph.Photographe
         assert estimate.covariance is not None
         assert np.all(np.linalg.eigvalsh(estimate.covariance) > 0)
     assert all(link.score > 0.8 for link in mapper.links)
+
+
+def test_a_third_keyframe_is_asked_only_where_it_shares_much(
+    photographer: photograph.Photographer,
+) -> None:
+    """What a camera that rocks shows at the rim of two views bends a motion and hardly holds it."""
+    options = slamcli.MapperOptions(keyframe_overlap=0.95)
+    mapper = slamcli.Mapper(photographer.calibration, options)
+    for i in range(7):
+        mapper.update(take(photographer, Pose2(0.06 * i), i))
+    footprint = covisibility.Footprint(photographer.calibration)
+    shared: dict[int, list[float]] = {}
+    for link in mapper.links:
+        motion = link.a_from_b
+        overlap = footprint.overlaps(np.array([[motion.x, motion.y, motion.theta]]))[0]
+        shared.setdefault(link.b, []).append(float(overlap))
+    assert max(len(overlaps) for overlaps in shared.values()) > 1
+    assert all(overlap > 0.35 for overlaps in shared.values() for overlap in overlaps[2:])
 
 
 def test_a_frame_that_cannot_be_used_is_lost_and_the_next_is_not(
