@@ -67,7 +67,7 @@ def evened(drive: Drive, frames: list[Frame]) -> Exposure:
     step = exposure.comparison_step(drive.calibration)
     observed = []
     for frame, shot in zip(frames, drive.shots, strict=True):
-        small = np.ascontiguousarray(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)[::4, ::4])
+        small = exposure.reduced(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY))
         pose = shot.map_from_robot
         observed.append(exposure.observe(small, drive.calibration, hull, pose, step))
     return exposure.solve(observed)

@@ -32,11 +32,12 @@ from slamcli.core.records import Calibration, Shot, Tile
 from slamcli.io import pngs, rasters
 from slamcli.io.calibrations import load_calibration, save_calibration
 from slamcli.io.files import write_image
-from slamcli.io.frames import list_frames, read_frame, read_reduced_gray
+from slamcli.io.frames import list_frames, read_frame
 from slamcli.mapper import Mapper
 from slamcli.painter import Painter
 from slamcli.run.executor import default_workers
 from slamcli.stages import align, camera, dense, features, view
+from slamcli.stages.mosaic import exposure
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -131,13 +132,12 @@ def measure(calibration: Calibration, files: list[FrameFile], scale: float) -> l
     count = len(files)
     data = [np.frombuffer(file.path.read_bytes(), np.uint8) for file in files]
     frames = [read_frame(file) for file in files]
-    decode = median_milliseconds(lambda i: read_frame(files[i]), count)
-    bare_decode = median_milliseconds(lambda i: cv2.imdecode(data[i], cv2.IMREAD_COLOR), count)
+    painter = Painter(calibration, scale)
+    decode = median_milliseconds(lambda i: read_frame(files[i], halved=painter.halves), count)
+    kind = cv2.IMREAD_REDUCED_COLOR_2 if painter.halves else cv2.IMREAD_COLOR
+    bare_decode = median_milliseconds(lambda i: cv2.imdecode(data[i], kind), count)
     gray = median_milliseconds(lambda i: read_frame(files[i], gray=True), count)
     bare_gray = median_milliseconds(lambda i: cv2.imdecode(data[i], cv2.IMREAD_GRAYSCALE), count)
-    reduced = median_milliseconds(lambda i: read_reduced_gray(files[i]), count)
-    reduce = cv2.IMREAD_REDUCED_GRAYSCALE_4
-    bare_reduced = median_milliseconds(lambda i: cv2.imdecode(data[i], reduce), count)
 
     mapper = Mapper(calibration)
     track = [mapper.update(frame).map_from_robot or Pose2() for frame in frames]
@@ -146,6 +146,7 @@ def measure(calibration: Calibration, files: list[FrameFile], scale: float) -> l
     grid = resampler.grid
     view_from_image = grid.pixel_from_metres @ calibration.robot_from_image
     grays = [view.to_gray(frame.image) for frame in frames]
+    glimpse = median_milliseconds(lambda i: exposure.reduced(grays[i]), count)
     views = [view.make_view(frame, resampler, gray=True) for frame in frames]
     warp = median_milliseconds(lambda i: view.make_view(frames[i], resampler, gray=True), count)
     size = (grid.width, grid.height)
@@ -183,7 +184,6 @@ def measure(calibration: Calibration, files: list[FrameFile], scale: float) -> l
         count - 1,
     )
 
-    painter = Painter(calibration, scale)
     paint = median_milliseconds(lambda i: painter.patch(frames[i], track[i]), count)
     grids = [painter.extent([track[i]]) for i in range(count)]
     patch_size = (grids[0].width, grids[0].height)
@@ -195,7 +195,8 @@ def measure(calibration: Calibration, files: list[FrameFile], scale: float) -> l
         lambda i: cv2.warpPerspective(frames[i].image, map_from_image[i], patch_size), count
     )
     shots = [Shot(i, track[i], calibration) for i in range(count)]
-    pictures = [painter.picture(frame, number) for number, frame in enumerate(frames)]
+    sources = [read_frame(file, halved=painter.halves) for file in files]
+    pictures = [painter.picture(source, number) for number, source in enumerate(sources)]
     plan = painter.plan(shots)
 
     def paint_tile(place: int) -> Tile | None:
@@ -210,9 +211,9 @@ def measure(calibration: Calibration, files: list[FrameFile], scale: float) -> l
     encode = median_milliseconds(lambda _: pngs.compress(pixels), 3) / count
     bare_encode = median_milliseconds(lambda _: encode_png(pixels), 3) / count
     return [
-        Row("decode JPEG", decode, bare_decode),
         Row("decode JPEG in gray", gray, bare_gray),
-        Row("decode JPEG, a quarter", reduced, bare_reduced),
+        Row("reduce it for its light", glimpse, math.nan),
+        Row("decode JPEG to paint", decode, bare_decode),
         Row("warp to the view", warp, bare_warp),
         Row("detect ORB", detect, bare_detect),
         Row("match and fit", fit, bare_fit, tried),

@@ -50,6 +50,11 @@ class Painter:
     options : PaintOptions
     light : Exposure or None
         From `exposure.solve`; None paints pictures as they are.
+
+    Attributes
+    ----------
+    halves : bool
+        Whether pictures of half the size do as well.
     """
 
     def __init__(
@@ -66,6 +71,7 @@ class Painter:
         self._usable = sampling.border_fade(camera.sharpness_image(calibration))
         coarsest = metres_per_pixel * tiles.CELL_PIXELS
         self._depth = sampling.pyramid_depth(calibration, coarsest)
+        self.halves = sampling.may_be_halved(calibration, metres_per_pixel)
         displaced = _DISPLACED_SHARE * calibration.max_range_metres / coarsest
         self._reach = min(_MOST_REACH_CELLS, max(1, round(displaced)))
         self._light = light
@@ -77,7 +83,7 @@ class Painter:
     def picture_bytes(self) -> int:
         """Memory that one frame takes while it is painted from."""
         width, height = self.calibration.image_size
-        return width * height * 3 * 4 // 3 + width * height
+        return width * height * 3 * 4 // (12 if self.halves else 3) + width * height
 
     def plan(self, shots: Sequence[Shot]) -> list[tuple[TileKey, list[int]]]:
         """Return every tile that is seen, with the numbers of the shots that may see it.
@@ -92,10 +98,25 @@ class Painter:
         return list(seen.items())
 
     def picture(self, frame: Frame, number: int) -> Picture:
-        """Return a frame's pyramid, evenly lit; `number` is its shot's place in the sequence."""
+        """Return a frame's pyramid, evenly lit.
+
+        Parameters
+        ----------
+        frame : Frame
+            Its picture whole, or of half the size where `halves` allows it.
+        number : int
+            Its shot's place in the sequence.
+        """
         gain = float(self._light.gains[number]) if self._light else 1.0
+        halved = frame.image.shape[1] < self.calibration.image_size[0]
         return sampling.make_picture(
-            frame.image, self._usable, frame.mask, self._depth, gain, self._brightening
+            frame.image,
+            self._usable,
+            frame.mask,
+            self._depth,
+            gain,
+            self._brightening,
+            halvings=int(halved),
         )
 
     def blank(self) -> Picture:

@@ -119,6 +119,22 @@ def test_gray_is_what_the_colours_come_to(tmp_path: Path, kind: str) -> None:
     assert np.abs(gray - to_gray(read_frame(file).image)).max() <= 2
 
 
+@pytest.mark.parametrize("kind", ["jpg", "png", "webp", "turned", "cmyk"])
+def test_a_pixel_of_half_the_size_is_the_mean_of_four(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / f"0.{kind if kind in {'png', 'webp'} else 'jpg'}"
+    smooth = np.tile(np.linspace(0, 255, 64, dtype=np.uint8)[None, :, None], (48, 1, 3))
+    picture = Image.fromarray(np.dstack([smooth[..., 0], smooth[:, ::-1, 1], smooth[..., 2]]))
+    exif = Image.Exif()
+    exif[0x0112] = 6 if kind == "turned" else 1
+    picture.convert("CMYK" if kind == "cmyk" else "RGB").save(path, exif=exif, quality=95)
+    (file,) = list_frames([tmp_path])
+    whole, half = read_frame(file).image, read_frame(file, halved=True).image
+    height, width = whole.shape[0] // 2, whole.shape[1] // 2
+    assert half.shape == (height, width, 3)
+    means = whole.reshape(height, 2, width, 2, 3).mean(axis=(1, 3))
+    assert np.abs(half - means).mean() < 1.5
+
+
 @pytest.mark.parametrize("suffix", ["jpg", "png"])
 def test_exif_orientation_is_applied(tmp_path: Path, suffix: str) -> None:
     exif = Image.Exif()

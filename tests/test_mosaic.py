@@ -284,6 +284,41 @@ def test_a_lens_is_read_through_where_each_point_lies() -> None:
     assert np.abs(difference).mean() < 0.7
 
 
+@pytest.mark.parametrize("bend", [0.0, -0.25])
+def test_a_picture_of_half_the_size_shows_a_coarse_map_no_elsewhere(bend: float) -> None:
+    calibration = replace(forward_camera(), distortion=np.array([bend, 0.0, 0.0, 0.0, 0.0]))
+    scale = 0.008
+    assert sampling.may_be_halved(calibration, scale)
+    assert not sampling.may_be_halved(calibration, scale / 2)
+    odd = replace(calibration, image_size=(639, 480))
+    assert not sampling.may_be_halved(odd, scale)
+    picture = cv2.GaussianBlur(pictures()[0].image, (0, 0), 3.0)
+    half = cv2.resize(picture, (320, 240), interpolation=cv2.INTER_AREA)
+    usable = sampling.border_fade(camera.sharpness_image(calibration))
+    grid = Grid(0.2, 0.2, scale, 50, 50)
+    whole, halved = (
+        sampling.sample(
+            sampling.make_picture(pixels, usable, None, 3, halvings=halvings),
+            calibration,
+            POSES[0],
+            grid,
+        )
+        for pixels, halvings in ((picture, 0), (half, 1))
+    )
+    np.testing.assert_array_equal(whole.weight, halved.weight)
+    inside = cv2.erode((whole.weight > 0).astype(np.uint8), np.ones((5, 5))) > 0
+    values = [look.image[..., 1].astype(np.float64) for look in (whole, halved)]
+    down, across = np.gradient(values[0])
+    slopes = np.column_stack([across[inside], down[inside], np.ones(np.count_nonzero(inside))])
+    shift = np.linalg.lstsq(slopes, (values[1] - values[0])[inside], rcond=None)[0]
+    assert np.abs(shift[:2]).max() < 0.02
+    assert decibels_between(*(one[inside] for one in values)) > 35.0
+
+
+def decibels_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    return 10 * math.log10(255**2 / float(np.mean((a - b) ** 2)))
+
+
 def test_weight_grows_with_sharpness_and_fades_at_the_border() -> None:
     sharpness = np.full((100, 100), 500.0, np.float32)
     sharpness[:, 80:] = 0.0

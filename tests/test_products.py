@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import shutil
 import signal
 import subprocess
@@ -22,8 +23,9 @@ from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.core.records import Tile
 from slamcli.io import deepzoom, geotiff, rasters
 from slamcli.io.checkpoints import Checkpoint, run_key
+from slamcli.io.frames import list_frames, read_frame
 from slamcli.io.tilestore import TileStore
-from slamcli.run import pictures
+from slamcli.run import glimpses, pictures
 from slamcli.stages.mosaic.sampling import Picture
 
 rasterio = pytest.importorskip("rasterio")
@@ -258,7 +260,7 @@ def test_a_picture_leaves_memory_with_the_last_tile_that_needs_it() -> None:
 
     def make(number: int) -> Picture:
         made.append(number)
-        return Picture((), np.zeros((1, 1), np.uint8), 1.0, None)
+        return Picture((), 0, np.zeros((1, 1), np.uint8), 1.0, None)
 
     kept = pictures.Pictures(make, 9, {0: 1, 1: 2, 2: 2, 3: 2, 4: 1})
     for numbers in needed:
@@ -269,6 +271,28 @@ def test_a_picture_leaves_memory_with_the_last_tile_that_needs_it() -> None:
     for number in range(5):
         kept(number)
     assert made == [0, 1, 2, 3, 4] * 2
+
+
+def test_a_glimpse_that_was_kept_is_what_reading_the_frame_again_gives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for index in range(3):
+        noise = np.random.default_rng(index).integers(0, 256, (50, 70, 3), np.uint8)
+        cv2.imwrite(str(tmp_path / f"{index}.jpg"), noise)
+    files = list_frames([tmp_path])
+    kept = glimpses.Glimpses()
+    small = glimpses.read_glimpse(files[0])
+    assert small.shape == (13, 18)
+    monkeypatch.setattr(glimpses, "_MOST_BYTES", 2 * small.nbytes)
+    for file in files:
+        kept.keep(read_frame(file, gray=True))
+    for file in files[:2]:
+        np.testing.assert_array_equal(kept.take(file), glimpses.read_glimpse(file))
+        assert kept.take(file) is None
+    assert kept.take(files[2]) is None
+    kept.keep(read_frame(files[2], gray=True))
+    assert pickle.loads(pickle.dumps(kept)).take(files[2]) is None
+    assert kept.take(files[2]) is not None
 
 
 def test_a_missing_library_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:

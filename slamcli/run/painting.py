@@ -13,10 +13,11 @@ from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Pose2
 from slamcli.core.mounting import rocked
 from slamcli.core.records import Shot
-from slamcli.io.frames import read_frame, read_reduced_gray
+from slamcli.io.frames import read_frame
 from slamcli.io.tilestore import TileStore
 from slamcli.painter import Painter
 from slamcli.run.executor import ordered
+from slamcli.run.glimpses import Glimpses, read_glimpse
 from slamcli.run.pictures import Pictures, most_at_once, most_pictures, size_text
 from slamcli.stages import camera
 from slamcli.stages.mosaic import exposure, tiles
@@ -60,12 +61,15 @@ class Scene:
     shots : tuple of Shot
         Of the same length.
     map_from_painted : Pose2
+    glimpses : Glimpses
+        Of its frames, those that are at hand.
     """
 
     calibration: Calibration
     files: tuple[FrameFile, ...]
     shots: tuple[Shot, ...]
     map_from_painted: Pose2
+    glimpses: Glimpses
 
 
 def scenes_of(
@@ -73,6 +77,7 @@ def scenes_of(
     estimates: Sequence[PoseEstimate],
     file_of: Callable[[PoseEstimate], FrameFile],
     turn_radians: float,
+    glimpses: Glimpses | None = None,
 ) -> list[tuple[Scene, list[PoseEstimate]]]:
     """Return what is painted: every fragment, with its frames.
 
@@ -92,7 +97,7 @@ def scenes_of(
             if e.map_from_robot is not None
         )
         files = tuple(file_of(estimate) for estimate in seen)
-        scene = Scene(calibration, files, shots, turn.inverse())
+        scene = Scene(calibration, files, shots, turn.inverse(), glimpses or Glimpses())
         scenes.append((scene, turned(members, scene)))
     return scenes
 
@@ -144,20 +149,19 @@ def paint_scene(
     uses = Counter(chain.from_iterable(numbers for _, numbers in left))
     pictures = Pictures(partial(_picture, painter, scene), most, uses)
     work = partial(_paint, painter, scene, pictures)
-    if left:
-        # A tile on each processor, so that none of them waits for the estimate.
-        started, middle = time.perf_counter(), len(left) // 2
-        first, left = left[middle : middle + workers], left[:middle] + left[middle + workers :]
-        for (key, _), tile in zip(first, ordered(work, first, workers), strict=True):
-            store.put(key.row, key.column, tile)
-        seconds = (time.perf_counter() - started) * len(left) / workers
-        held = min(most, most_at_once([numbers for _, numbers in plan]))
-        tell(estimate(painter, plan, options, held, seconds, workers))
-    done = len(plan) - len(left)
-    for (key, _), tile in zip(left, ordered(work, left, workers, scheduler), strict=False):
+    # First some of the middle, by whose time all the others' is foretold.
+    middle = len(left) // 2
+    left = left[middle : middle + workers] + left[:middle] + left[middle + workers :]
+    started, done = time.perf_counter(), len(plan) - len(left)
+    for number, ((key, _), tile) in enumerate(
+        zip(left, ordered(work, left, workers, scheduler), strict=False), start=1
+    ):
         store.put(key.row, key.column, tile)
-        done += 1
-        progress("painting", done, len(plan))
+        if number == min(workers, len(left)):
+            seconds = (time.perf_counter() - started) * (len(left) - number) / number
+            held = min(most, most_at_once([numbers for _, numbers in plan]))
+            tell(estimate(painter, plan, options, held, seconds, workers))
+        progress("painting", done + number, len(plan))
         if interruption.heeded():
             break
     return store, scale
@@ -239,17 +243,24 @@ def _light(scene: Scene, workers: int, progress: Progress, scheduler: str) -> Ex
     step = exposure.comparison_step(scene.calibration)
     work = partial(_observe, hull, step)
     observations = []
-    jobs = list(zip(scene.files, scene.shots, strict=True))
+    jobs = (
+        (file, shot, scene.glimpses.take(file))
+        for file, shot in zip(scene.files, scene.shots, strict=True)
+    )
     for done, one in enumerate(ordered(work, jobs, workers, scheduler), start=1):
         observations.append(one)
-        progress("comparing light", done, len(jobs))
+        progress("comparing light", done, len(scene.files))
     return exposure.solve(observations)
 
 
-def _observe(hull: NDArray[np.float64], step: float, job: tuple[FrameFile, Shot]) -> Shared:
-    file, shot = job
+def _observe(
+    hull: NDArray[np.float64],
+    step: float,
+    job: tuple[FrameFile, Shot, NDArray[np.uint8] | None],
+) -> Shared:
+    file, shot, gray = job
     try:
-        gray = read_reduced_gray(file)
+        gray = read_glimpse(file) if gray is None else gray
     except FrameError:
         return exposure.nothing_shared()
     return exposure.observe(gray, shot.calibration, hull, shot.map_from_robot, step)
@@ -265,7 +276,7 @@ def _wanted(key: TileKey, scale: float, options: ProductOptions) -> bool:
 
 def _picture(painter: Painter, scene: Scene, number: int) -> Picture:
     try:
-        frame = read_frame(scene.files[number])
+        frame = read_frame(scene.files[number], halved=painter.halves)
     except FrameError:
         return painter.blank()
     return painter.picture(frame, number)

@@ -19,14 +19,20 @@ if TYPE_CHECKING:
     from slamcli.core.records import Calibration, Frame
     from slamcli.io.frames import FrameFile
     from slamcli.run.executor import Progress
+    from slamcli.run.glimpses import Glimpses
 
 
-def read_and_prepare(prepare: Callable[[Frame], Prepared], file: FrameFile) -> Prepared:
+def read_and_prepare(
+    prepare: Callable[[Frame], Prepared], file: FrameFile, glimpses: Glimpses | None = None
+) -> Prepared:
     """Return a frame ready to be placed, or with the reason why it cannot be used."""
     try:
-        return prepare(read_frame(file, gray=True))
+        frame = read_frame(file, gray=True)
     except FrameError as error:
         return Prepared(file.index, file.name, file.stamp, None, None, str(error))
+    if glimpses is not None:
+        glimpses.keep(frame)
+    return prepare(frame)
 
 
 def walk(
@@ -35,10 +41,17 @@ def walk(
     workers: int,
     progress: Progress,
     scheduler: str = "",
+    glimpses: Glimpses | None = None,
 ) -> Iterator[int]:
-    """Give a mapper all frames that it has not seen; yield after each how many it has by then."""
+    """Give a mapper all frames that it has not seen; yield after each how many it has by then.
+
+    Parameters
+    ----------
+    glimpses : Glimpses or None
+        Keeps what the frames look like, where they are read by this process.
+    """
     first = len(mapper.estimates)
-    work = partial(read_and_prepare, mapper.prepare)
+    work = partial(read_and_prepare, mapper.prepare, glimpses=None if scheduler else glimpses)
     prepared_frames = ordered(work, files[first:], workers, scheduler)
     for done, prepared in enumerate(prepared_frames, start=first + 1):
         mapper.step(prepared)

@@ -19,6 +19,7 @@ from slamcli.io.poses import write_poses
 from slamcli.mapper import Mapper
 from slamcli.run import exports, products, reporting
 from slamcli.run.extension import open_extension
+from slamcli.run.glimpses import Glimpses
 from slamcli.run.inputs import open_inputs
 from slamcli.run.interruption import interruptible
 from slamcli.run.networks import (
@@ -157,7 +158,10 @@ def stitch(
         output_folder(output, patterns, overwrite=overwrite, resume=options.resume) as staging,
     ):
         mapper = _begin(new, inputs, options, files, checkpoint, tell)
-        note = _locate(mapper, inputs, options, readings, checkpoint, progress, interruption)
+        glimpses = Glimpses()
+        note = _locate(
+            mapper, inputs, options, readings, checkpoint, progress, interruption, glimpses
+        )
         found, refined = registration_of(mapper), None
         if options.self_calibrate and not interruption.happened:
             resolved = mapper.options
@@ -171,6 +175,7 @@ def stitch(
             estimates,
             lambda estimate: inputs.files[estimate.index],
             options.products.turn_radians,
+            glimpses,
         )
         # Tiles of poses that more frames would change are of no use to a run that goes on.
         unfinished = staging / "tiles"
@@ -266,13 +271,15 @@ def _locate(
     checkpoint: Checkpoint,
     progress: Progress,
     interruption: Interruption,
+    glimpses: Glimpses,
 ) -> str:
     """First walk: every frame to its pose or its reason; those that a mapper has seen are done.
 
     Returns the clocks' offset, in words, if it was to be found.
     """
     pace, total = _Pace(), len(inputs.files)
-    for done in walk(mapper, inputs.files, options.workers, progress, options.scheduler):
+    workers, scheduler = options.workers, options.scheduler
+    for done in walk(mapper, inputs.files, workers, progress, scheduler, glimpses):
         if options.debug:
             draw_trials(mapper.trials, checkpoint.drawings)
         stop = interruption.heeded()

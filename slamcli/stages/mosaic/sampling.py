@@ -29,6 +29,8 @@ _LATTICE_PIXELS = 8
 _LARGE_PIXELS = 128
 _OUT_OF_SIGHT = -1.0e4
 _LEAST_DEPTH = 1.0e-6
+# A camera that rocks sees the rim of the floor by so much less finely than it is calibrated to.
+_ROCKING_SLACK = 1.1
 # Vignetting changes so slowly that a value for each of so many pixels, each way, is enough.
 _BRIGHTENING_LEVEL = 4
 
@@ -41,6 +43,8 @@ class Picture:
     ----------
     levels : tuple of (h, w, 3) uint8
         The image pyramid; each level has every other pixel of the one before.
+    halvings : int
+        How often the first of them was halved already, each pixel the mean of two by two.
     usable : (H, W) uint8
         From `border_fade`, 0 where the frame's own mask hides the floor.
     gain : float
@@ -50,6 +54,7 @@ class Picture:
     """
 
     levels: tuple[NDArray[np.uint8], ...]
+    halvings: int
     usable: NDArray[np.uint8]
     gain: float
     brightening: NDArray[np.float32] | None
@@ -102,12 +107,15 @@ def make_picture(
     depth: int,
     gain: float = 1.0,
     brightening: NDArray[np.float32] | None = None,
+    *,
+    halvings: int = 0,
 ) -> Picture:
-    """Return a frame's pyramid of `depth` + 1 levels, and which of its pixels may be used.
+    """Return a frame's pyramid down to its `depth`-th halving, and which of its pixels may be used.
 
     Parameters
     ----------
     image : (H, W, 3) or (H, W) uint8
+        Halved so often as `halvings` tells.
     usable : (H, W) uint8
         From `border_fade`.
     mask : (H, W) uint8 or None
@@ -119,23 +127,37 @@ def make_picture(
     if image.ndim == 2:
         image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
     levels = [image]
-    for _ in range(depth):
+    for _ in range(depth - halvings):
         levels.append(np.asarray(cv2.pyrDown(levels[-1]), np.uint8))
     if mask is not None:
         # What lies between an opaque pixel and another is a mixture.
         opaque = cv2.erode(mask, np.ones((3, 3), np.uint8))
         usable = np.where(opaque == 255, usable, np.uint8(0))
-    return Picture(tuple(levels), usable, gain, brightening)
+    return Picture(tuple(levels), halvings, usable, gain, brightening)
 
 
 def pyramid_depth(calibration: Calibration, metres_per_pixel: float) -> int:
     """Return how many times a picture is halved before it is coarser than such a raster."""
-    sharpest = 1.0 / float(
-        np.sqrt(
-            camera.floor_sampling(calibration, camera.seen_floor(calibration)).prod(axis=1)
-        ).min()
-    )
+    _, sharpest = _pixels_a_metre(calibration)
     return min(_DEEPEST_LEVEL, int(math.log2(max(1.0, sharpest * metres_per_pixel))))
+
+
+def may_be_halved(calibration: Calibration, metres_per_pixel: float) -> bool:
+    """Tell whether such a raster is nowhere read from a level finer than half the picture's size.
+
+    Not of pictures with an odd side: which of their pixels stay alone depends on how they are
+    turned.
+    """
+    coarsest, _ = _pixels_a_metre(calibration)
+    even = all(side % 2 == 0 for side in calibration.image_size)
+    return even and coarsest * metres_per_pixel >= 2.0 * _ROCKING_SLACK
+
+
+def _pixels_a_metre(calibration: Calibration) -> tuple[float, float]:
+    """Return how many of its pixels a picture spends on a metre of floor, at least and at most."""
+    floor = camera.seen_floor(calibration)
+    spacing = np.sqrt(camera.floor_sampling(calibration, floor).prod(axis=1))
+    return 1.0 / float(spacing.max()), 1.0 / float(spacing.min())
 
 
 def sample(
@@ -165,9 +187,10 @@ def sample(
     if finest <= 0:
         return Sample(image, look.weight, look.sharpness)
     scale = grid.metres_per_pixel * (1 + 1e-6)
-    deepest = len(picture.levels) - 1
+    deepest = picture.halvings + len(picture.levels) - 1
     first, last = (
-        min(deepest, max(0, math.floor(math.log2(value * scale)))) for value in (coarsest, finest)
+        min(deepest, max(picture.halvings, math.floor(math.log2(value * scale))))
+        for value in (coarsest, finest)
     )
     for number in range(first, last + 1):
         low = 2.0**number / scale if number > first else 0.0
@@ -178,7 +201,8 @@ def sample(
         if width == 0:
             continue
         rows, columns = slice(top, top + height), slice(left, left + width)
-        read = _read(picture.levels[number], number, look, rows, columns, smooth=smooth)
+        level = picture.levels[number - picture.halvings]
+        read = _read(level, number, picture.halvings, look, rows, columns, smooth=smooth)
         read = _lit(read, picture, look, rows, columns)
         cv2.copyTo(read, band[rows, columns], image[rows, columns])
     return Sample(image, look.weight, look.sharpness)
@@ -272,7 +296,7 @@ def _lit(
     """Return part of a raster, as it was read, as bright as the other frames and evenly so."""
     factor = None
     if picture.brightening is not None:
-        here = _read(picture.brightening, _BRIGHTENING_LEVEL, look, rows, columns, smooth=False)
+        here = _read(picture.brightening, _BRIGHTENING_LEVEL, 0, look, rows, columns, smooth=False)
         factor = np.asarray(here, np.float32)
     return exposure.correct(read, picture.gain, factor)
 
@@ -280,23 +304,32 @@ def _lit(
 def _read(
     level: NDArray[Value],
     number: int,
+    halvings: int,
     look: _Look,
     rows: slice,
     columns: slice,
     *,
     smooth: bool,
 ) -> NDArray[Value]:
-    """Read part of a raster from one pyramid level, whose pixel k is 2^number k of the picture."""
+    """Read part of a raster from one pyramid level, halved `number` times.
+
+    Its pixel k is that numbered ``2^number k + (2^halvings - 1) / 2`` of the picture: a mean of two
+    by two lies between them, a level of the pyramid on every other pixel.
+    """
     method = cv2.INTER_CUBIC if smooth else cv2.INTER_LINEAR
     scale = 0.5**number
+    shifted = -scale * (2**halvings - 1) / 2
     if look.lens is not None:
-        across, down = (np.float32(scale) * one[rows, columns] for one in look.lens)
+        across, down = (
+            np.float32(scale) * one[rows, columns] + np.float32(shifted) for one in look.lens
+        )
         read = cv2.remap(level, across, down, method, borderMode=cv2.BORDER_REPLICATE)
     else:
+        level_from_image = np.array([[scale, 0.0, shifted], [0.0, scale, shifted], [0.0, 0.0, 1.0]])
         shift = np.array([[1.0, 0.0, columns.start], [0.0, 1.0, rows.start], [0.0, 0.0, 1.0]])
         read = cv2.warpPerspective(
             level,
-            np.diag([scale, scale, 1.0]) @ look.image_from_pixel @ shift,
+            level_from_image @ look.image_from_pixel @ shift,
             (columns.stop - columns.start, rows.stop - rows.start),
             flags=method | cv2.WARP_INVERSE_MAP,
             borderMode=cv2.BORDER_REPLICATE,

@@ -1,0 +1,59 @@
+"""Small gray pictures of frames that have been read, which need not be decoded for it again."""
+
+from __future__ import annotations
+
+from threading import Lock
+from typing import TYPE_CHECKING
+
+from slamcli.io.frames import read_frame
+from slamcli.stages import view
+from slamcli.stages.mosaic import exposure
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import Frame
+    from slamcli.io.frames import FrameFile
+
+_MOST_BYTES = 100_000_000
+
+
+class Glimpses:
+    """What frames look like from afar, of as many as fit; may be shared by threads.
+
+    In another process it is empty.
+    """
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._kept: dict[int, NDArray[np.uint8]] = {}
+        self._bytes = 0
+
+    def __reduce__(self) -> tuple[type[Glimpses], tuple[()]]:
+        return Glimpses, ()
+
+    def keep(self, frame: Frame) -> None:
+        """Remember what a frame looks like, while there is room."""
+        if self._bytes < _MOST_BYTES:
+            small = glimpse(frame)
+            with self._lock:
+                self._kept[frame.index] = small
+                self._bytes += small.nbytes
+
+    def take(self, file: FrameFile) -> NDArray[np.uint8] | None:
+        """Return what a frame looks like, and forget it; None when it was not kept."""
+        with self._lock:
+            small = self._kept.pop(file.index, None)
+            self._bytes -= 0 if small is None else small.nbytes
+        return small
+
+
+def glimpse(frame: Frame) -> NDArray[np.uint8]:
+    """Return a frame as `exposure.observe` takes it."""
+    return exposure.reduced(view.to_gray(frame.image))
+
+
+def read_glimpse(file: FrameFile) -> NDArray[np.uint8]:
+    """Return what `Glimpses` would have kept of a frame; raises FrameError."""
+    return glimpse(read_frame(file, gray=True))
