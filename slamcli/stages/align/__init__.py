@@ -145,6 +145,9 @@ def _ambiguous(
     Floors that repeat, and lines that look alike, let another motion explain nearly as many of the
     matches that the best one leaves over.
     """
+    best = int(inliers.sum())
+    if np.count_nonzero(rest) < options.max_rival_share * best:
+        return ""
     rival = ransac(
         points_a[rest],
         points_b[rest],
@@ -156,7 +159,7 @@ def _ambiguous(
     )
     if rival is None:
         return ""
-    best, second = int(inliers.sum()), int(rival.inliers.sum())
+    second = int(rival.inliers.sum())
     if second < options.max_rival_share * best:
         return ""
     apart = apply_homography(rival.a_from_b, points_b) - apply_homography(a_from_b, points_b)

@@ -127,13 +127,14 @@ def _near_guess(
     if radius is None:
         radius = _SEARCH_SIGMAS * float(np.median(b.sigmas))
     radius = radius + options.search_angle_radians * reach
-    # |a - e|^2 as |a|^2 + |e|^2 - 2 a.e, from the views' middle so that float32 is fine enough.
+    # |a - e|^2 - r^2 as one product of (x, y, |a|^2, 1) and (-2 e_x, -2 e_y, 1, |e|^2 - r^2), from
+    # the views' middle so that float32 is fine enough.
     middle = expected.mean(axis=0)
-    places = (a.points - middle).astype(np.float32)
-    goals = (expected - middle).astype(np.float32)
-    limit = (radius**2).astype(np.float32) - np.einsum("bi,bi->b", goals, goals)
-    away = np.einsum("ai,ai->a", places, places)[:, None] - 2.0 * (places @ goals.T)
-    return np.asarray(away <= limit[None, :], np.uint8)
+    places, goals = a.points - middle, expected - middle
+    squares = np.sum(places**2, axis=1), np.sum(goals**2, axis=1) - radius**2
+    left = np.column_stack([places, squares[0], np.ones(len(a))]).astype(np.float32)
+    right = np.column_stack([-2.0 * goals, np.ones(len(b)), squares[1]]).astype(np.float32)
+    return np.asarray(left @ right.T <= 0.0).view(np.uint8)
 
 
 def _unique(

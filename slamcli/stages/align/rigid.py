@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _MOST_ITERATIONS = 20
-_CONVERGED_SIGMAS = 1e-4
+_CONVERGED_SIGMAS = 1e-3
 # Geman and McClure's scale in sigmas: keeps 97 % of the efficiency of least squares on normal
 # errors, and all but ignores what is five sigmas off.
 _KERNEL_SIGMAS = 3.0
@@ -77,13 +77,13 @@ def fit_rigid(
     pose = guess
     for _ in range(_MOST_ITERATIONS):
         residual, jacobian = _whitened(points_a, points_b, covariance_a, covariance_b, pose)
-        length = np.linalg.norm(residual, axis=1)
+        length = np.hypot(*residual)
         scale = _scale(length)
         weights = _kernel(length / scale)
-        weighted = jacobian * weights[:, None, None]
-        information = np.einsum("nij,nik->jk", weighted, jacobian)
+        weighted = jacobian * weights
+        information = _products(weighted, jacobian)
         try:
-            step = -np.linalg.solve(information, np.einsum("nij,ni->j", weighted, residual))
+            step = -np.linalg.solve(information, np.einsum("kin,in->k", weighted, residual))
         except np.linalg.LinAlgError:
             return None
         if not np.isfinite(step).all():
@@ -98,9 +98,18 @@ def fit_rigid(
 
 
 def _covariances(points: NDArray[np.float64], sigmas: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (M, 2, 2) covariances in the robot frame from sigmas along and across the sight."""
-    axes = np.stack(camera.line_of_sight_axes(points), axis=2)
-    return np.asarray((axes * sigmas[:, None, :] ** 2) @ axes.transpose(0, 2, 1))
+    """Return (3, M) covariances xx, xy and yy in the robot frame, of sigmas in sight and across."""
+    (sight_x, sight_y), (across_x, across_y) = (
+        axis.T for axis in camera.line_of_sight_axes(points)
+    )
+    along, across = sigmas.T**2
+    return np.stack(
+        [
+            along * sight_x**2 + across * across_x**2,
+            along * sight_x * sight_y + across * across_x * across_y,
+            along * sight_y**2 + across * across_y**2,
+        ]
+    )
 
 
 def _whitened(
@@ -110,22 +119,43 @@ def _whitened(
     covariance_b: NDArray[np.float64],
     pose: Pose2,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return residuals (M, 2) in sigmas and their Jacobian (M, 2, 3) by a motion in b's axes."""
-    rotation = pose.matrix[:2, :2]
-    residual = points_a - pose.apply(points_b)
-    jacobian = np.empty((len(points_a), 2, 3))
-    jacobian[:, :, :2] = -rotation
-    jacobian[:, :, 2] = -np.column_stack([-points_b[:, 1], points_b[:, 0]]) @ rotation.T
-    total = covariance_a + rotation @ covariance_b @ rotation.T
+    """Return residuals (2, M) in sigmas and their Jacobian (3, 2, M) by a motion in b's axes."""
+    cosine, sine = math.cos(pose.theta), math.sin(pose.theta)
+    residual_x, residual_y = (points_a - pose.apply(points_b)).T
+    turned = _turning(cosine, sine) @ covariance_b
+    total_xx, total_xy, total_yy = covariance_a + turned
     # The inverse of each 2x2 Cholesky factor, written out.
-    first = np.sqrt(total[:, 0, 0])
-    below = total[:, 1, 0] / first
-    second = np.sqrt(total[:, 1, 1] - below**2)
-    whitening = np.zeros_like(total)
-    whitening[:, 0, 0] = 1.0 / first
-    whitening[:, 1, 0] = -below / (first * second)
-    whitening[:, 1, 1] = 1.0 / second
-    return np.einsum("nij,nj->ni", whitening, residual), whitening @ jacobian
+    first = 1.0 / np.sqrt(total_xx)
+    second = 1.0 / np.sqrt(total_yy - (total_xy * first) ** 2)
+    below = -total_xy * first**2 * second
+    x, y = points_b.T
+    residual = np.empty((2, len(x)))
+    residual[0] = first * residual_x
+    residual[1] = below * residual_x + second * residual_y
+    # How x and y of the residual change with each part of the motion.
+    by_x, by_y = (-cosine, -sine), (sine, -cosine)
+    by_turn = (sine * x + cosine * y, sine * y - cosine * x)
+    jacobian = np.empty((3, 2, len(x)))
+    for row, (u, v) in zip(jacobian, (by_x, by_y, by_turn), strict=True):
+        row[0] = first * u
+        row[1] = below * u + second * v
+    return residual, jacobian
+
+
+def _turning(cosine: float, sine: float) -> NDArray[np.float64]:
+    """Return what turns covariances xx, xy and yy, as R S R^T does."""
+    return np.array(
+        [
+            [cosine**2, -2.0 * cosine * sine, sine**2],
+            [cosine * sine, cosine**2 - sine**2, -cosine * sine],
+            [sine**2, 2.0 * cosine * sine, cosine**2],
+        ]
+    )
+
+
+def _products(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (3, 3) sums over all residuals of products of two Jacobians' columns."""
+    return np.asarray(first.reshape(3, -1) @ second.reshape(3, -1).T)
 
 
 def _kernel(length: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -151,7 +181,7 @@ def _covariance_of_estimate(
     ``E[psi^2] / E[psi']^2`` times the covariance of least squares, with psi the weighted residual,
     both expectations taken over its two coordinates.
     """
-    information = np.einsum("nij,nik->jk", jacobian, jacobian) / scale**2
+    information = _products(jacobian, jacobian) / scale**2
     weights = _kernel(length)
     squared = (length / _KERNEL_SIGMAS) ** 2
     psi_squared = float(np.mean((weights * length) ** 2)) / 2.0
