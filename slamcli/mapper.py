@@ -299,7 +299,8 @@ class Mapper:
                 least = self.options.min_overlap if len(believed) < 2 else _LEAST_OVERLAP_OF_THIRD
                 if guess is None or self._overlap(keyframe, prepared, guess) < least:
                     continue
-            trials.append(self._try(keyframe, prepared, guess))
+            expected = self._expect(keyframe, prepared)
+            trials.append(self._try(keyframe, prepared, guess, expected=expected))
         if any(trial.link is not None for trial in trials):
             return trials
         return trials + self._try_harder(prepared, before)
@@ -381,6 +382,14 @@ class Mapper:
             heading_for = heading_for @ self._motion
         return dense.Window(heading_for, math.radians(self.options.search_angle_degrees), radius)
 
+    def _expect(self, keyframe: Prepared, prepared: Prepared) -> Pose2 | None:
+        """Return ``keyframe_from_now`` if the robot goes on as it did; None if none knows that."""
+        if self._motion is None or self._moved_at != prepared.index - 1:
+            return None
+        if self._graph[keyframe.index].fragment != self._graph[self._moved_at].fragment:
+            return None
+        return self._motion_from(keyframe) @ self._motion
+
     def _motion_from(self, keyframe: Prepared) -> Pose2:
         """Return ``keyframe_from_latest`` of the frame whose motion is the latest known."""
         return self._graph.pose(keyframe.index).inverse() @ self._graph.pose(self._moved_at)
@@ -392,8 +401,12 @@ class Mapper:
         guess: Pose2 | None = None,
         *,
         window: dense.Window | None = None,
+        expected: Pose2 | None = None,
     ) -> Trial:
-        return compare(keyframe, prepared, guess, self.calibration, self.options, window=window)
+        calibration, options = self.calibration, self.options
+        return compare(
+            keyframe, prepared, guess, calibration, options, window=window, expected=expected
+        )
 
     def _predict(self, believed: Trial, keyframe: Prepared) -> Pose2 | None:
         """Return ``keyframe_from_now`` by way of a believed trial; None for another fragment."""

@@ -11,9 +11,9 @@ import pytest
 
 import slamcli
 from slamcli.comparison import compare, polishing
-from slamcli.core.config import MapperOptions
+from slamcli.core.config import MapperOptions, MatchOptions
 from slamcli.core.geometry import Pose2, apply_homography
-from slamcli.core.records import Calibration, Frame, Prepared
+from slamcli.core.records import Alignment, Calibration, Features, Frame, Prepared
 from slamcli.core.simulation import CameraOptions, DisturbanceOptions
 from slamcli.stages import align, dense
 from slamcli.stages.simulate import floors, photograph
@@ -119,6 +119,35 @@ def test_tiles_that_are_all_alike_are_ambiguous() -> None:
     trial = compare(a, b, None, CALIBRATION, MapperOptions(), window=dense.Window())
     assert trial.link is None
     assert "ambiguous" in trial.reason or "open along" in trial.reason
+
+
+def test_an_expectation_spares_work_and_is_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
+    motion = Pose2(0.06, 0.01, 0.05)
+    guesses: list[Pose2 | None] = []
+    plain = align.align
+
+    def noted(a: Features, b: Features, matching: MatchOptions, guess: Pose2 | None) -> Alignment:
+        guesses.append(guess)
+        return plain(a, b, matching, guess)
+
+    monkeypatch.setattr(align, "align", noted)
+    camera = photographer_of(floors.make_floor("asphalt", 0.0, 0.001, seed=3))
+    a, b = prepared_of(camera, Pose2(), 0), prepared_of(camera, motion, 1)
+    near, wrong = motion @ Pose2(0.02, -0.01, 0.03), motion @ Pose2(-0.4, 0.1)
+    links = {}
+    for expected, asked in ((None, [None]), (near, [near]), (wrong, [wrong, None])):
+        guesses.clear()
+        trial = compare(a, b, None, CALIBRATION, MapperOptions(), expected=expected)
+        assert guesses == asked
+        assert trial.link is not None
+        assert error_of(trial.link.a_from_b, motion)[0] < 0.0003
+        links[expected] = trial.link
+    assert links[wrong].a_from_b == links[None].a_from_b
+    tiles = photographer_of(stripes(0.1, both=True))
+    a, b = prepared_of(tiles, Pose2(), 0), prepared_of(tiles, motion, 1)
+    guesses.clear()
+    assert compare(a, b, None, CALIBRATION, MapperOptions(), expected=motion).link is None
+    assert guesses == [None]
 
 
 def test_a_single_line_does_not_tell_how_far_along_it_the_robot_went() -> None:

@@ -17,6 +17,7 @@ from slamcli.comparison.polishing import Pair
 from slamcli.stages import align
 
 if TYPE_CHECKING:
+    from slamcli.comparison.polishing import Hypothesis
     from slamcli.core.config import MapperOptions
     from slamcli.core.geometry import Pose2
     from slamcli.core.records import Calibration, Prepared
@@ -36,6 +37,7 @@ def compare(
     options: MapperOptions,
     *,
     window: dense.Window | None = None,
+    expected: Pose2 | None = None,
 ) -> Trial:
     """Align a frame to a keyframe and check the fit by the pixels before it is believed.
 
@@ -48,33 +50,26 @@ def compare(
     window : Window or None
         Where the pixels are searched when the features do not convince; nowhere when it is None.
         Given a guess they are asked about that alone.
+    expected : Pose2 or None
+        Where the frame may be as well as anywhere, given no guess: near it matches are looked for
+        first, which is much less work, and everywhere unless those convince.
     """
-    assert keyframe.features is not None
-    assert prepared.features is not None
-    matching = replace(
-        options.matching,
-        model="rigid",
-        search_radius=_SEARCH_SHARE_OF_RANGE * calibration.max_range_metres,
-    )
-    alignment = align.align(keyframe.features, prepared.features, matching, guess)
     near = Pair(keyframe.levels, prepared.levels)
     searched_metres = 0.0 if window is None or guess is not None else window.radius_metres
-    case = Case(keyframe, prepared, alignment, calibration, options, searched_metres)
+    if expected is not None and guess is None and not len(prepared.repeats):
+        case = _match(keyframe, prepared, expected, calibration, options, searched_metres)
+        if (trial := _believed(case, near)) is not None:
+            return trial
+    case = _match(keyframe, prepared, guess, calibration, options, searched_metres)
+    alignment = case.alignment
     ask_pixels = options.dense and not (window is None and guess is None)
     if not ask_pixels and options.dense and not belief.many(alignment, options):
         return case.trial(None, alignment.reason or belief.few(alignment, options))
-    by_features = None
-    if alignment.pose is not None and alignment.covariance is not None and not alignment.reason:
-        by_features = polishing.polish(
-            near, alignment.pose, alignment.covariance, calibration, options
-        )
-        assert by_features is not None
-        if not options.dense or belief.convincing(alignment, by_features, options):
-            doubt = belief.implausible(
-                by_features, case.way_metres, options, beside_features=options.dense
-            ) or case.repeats(near, by_features)
-            if not doubt or not ask_pixels:
-                return case.trial(by_features, doubt)
+    by_features = _polished(case, near)
+    if by_features is not None:
+        doubt = _doubt(case, near, by_features)
+        if doubt is not None and not (doubt and ask_pixels):
+            return case.trial(by_features, doubt)
         if by_features.pose.translation_length > case.way_metres:
             by_features = None
     if not ask_pixels:
@@ -86,13 +81,66 @@ def compare(
             fits = [] if fit is None else [fit]
         return case.choose(near, fits, by_features, None)
     assert window is not None
-    window = replace(window, way_metres=case.way_metres)
-    found, fits = hypotheses.search(near, window, calibration, options)
+    return _searched(case, near, by_features, replace(window, way_metres=case.way_metres))
+
+
+def _searched(
+    case: Case, near: Pair, by_features: Hypothesis | None, window: dense.Window
+) -> Trial:
+    """Return the trial of what the pixels show within a window, near the robot or farther off."""
+    keyframe, prepared = case.keyframe, case.prepared
+    found, fits = hypotheses.search(near, window, case.calibration, case.options)
     trial = case.choose(near, fits, by_features, found)
     if trial.link is not None or not (keyframe.far_levels and prepared.far_levels):
         return trial
     far = Pair(keyframe.far_levels, prepared.far_levels, far=True)
-    _, fits = hypotheses.search(far, window, calibration, options)
-    sharper = [polishing.sharpen(near, fit, calibration, options) for fit in fits]
+    _, fits = hypotheses.search(far, window, case.calibration, case.options)
+    sharper = [polishing.sharpen(near, fit, case.calibration, case.options) for fit in fits]
     second = case.choose(far, sharper, None, found)
     return trial if second.link is None else second
+
+
+def _match(
+    keyframe: Prepared,
+    prepared: Prepared,
+    guess: Pose2 | None,
+    calibration: Calibration,
+    options: MapperOptions,
+    searched_metres: float,
+) -> Case:
+    """Return what the features say, matched near a guess if there is one."""
+    assert keyframe.features is not None
+    assert prepared.features is not None
+    matching = replace(
+        options.matching,
+        model="rigid",
+        search_radius=_SEARCH_SHARE_OF_RANGE * calibration.max_range_metres,
+    )
+    alignment = align.align(keyframe.features, prepared.features, matching, guess)
+    return Case(keyframe, prepared, alignment, calibration, options, searched_metres)
+
+
+def _polished(case: Case, near: Pair) -> Hypothesis | None:
+    """Return the features' motion refined on the pixels; None when they tell none."""
+    alignment = case.alignment
+    if alignment.pose is None or alignment.covariance is None or alignment.reason:
+        return None
+    return polishing.polish(
+        near, alignment.pose, alignment.covariance, case.calibration, case.options
+    )
+
+
+def _believed(case: Case, near: Pair) -> Trial | None:
+    """Return the trial of a motion that many features tell and nothing speaks against, or None."""
+    fit = _polished(case, near) if belief.many(case.alignment, case.options) else None
+    return case.trial(fit, "") if fit is not None and _doubt(case, near, fit) == "" else None
+
+
+def _doubt(case: Case, near: Pair, fit: Hypothesis) -> str | None:
+    """Return why the features' motion is not believed, or nothing; None: it does not convince."""
+    options = case.options
+    if options.dense and not belief.convincing(case.alignment, fit, options):
+        return None
+    return belief.implausible(
+        fit, case.way_metres, options, beside_features=options.dense
+    ) or case.repeats(near, fit)
