@@ -7,7 +7,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import CalibrationError, InputError
@@ -92,6 +91,9 @@ def true_scale(origin: Origin | None, calibration: Calibration) -> float:
     The focal length and the tilt that frames tell change how large the square seems in its photo:
     least squares on the reprojection of its corners, by size and place. 1 without a square.
     """
+    # Slow to load, and of use to few runs of `slam stitch`.
+    from scipy.optimize import least_squares
+
     if origin is None or origin.target.split()[:1] not in (["square"], ["aruco"]):
         return 1.0
     corners = solving.sort_corners(origin.corners, calibration.image_size)

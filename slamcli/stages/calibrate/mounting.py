@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import Pose2, apply_homography, invert
@@ -181,6 +180,9 @@ def _refine(
 
     def unpack(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return values if focal_free else np.concatenate([[0.0], values])
+
+    # Slow to load, and of no use to those who only read a calibration.
+    from scipy.optimize import least_squares
 
     def residuals(values: NDArray[np.float64]) -> NDArray[np.float64]:
         projected = _project(points.target, camera_matrix, unpack(values))

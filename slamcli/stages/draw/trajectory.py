@@ -81,17 +81,17 @@ def _paled(
     image: NDArray[np.uint8], mask: NDArray[np.uint8], grid: Grid, view_grid: Grid
 ) -> NDArray[np.uint8]:
     """Return the map at the drawing's scale, halfway to the background so that lines stand out."""
-    background = np.full_like(image, _BACKGROUND_GRAY)
-    pale = cv2.addWeighted(image, 0.6, background, 0.4, 0.0)
-    shown = np.where(mask[..., None] > 0, pale, background)
+    shown = np.full_like(image, _BACKGROUND_GRAY)
+    cv2.copyTo(image, mask, shown)
     factor = grid.metres_per_pixel / view_grid.metres_per_pixel
     size = (max(1, round(grid.width * factor)), max(1, round(grid.height * factor)))
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
-    small = np.asarray(cv2.resize(shown, size, interpolation=method))
+    small = cv2.resize(shown, size, interpolation=method)
+    pale = np.asarray(cv2.addWeighted(small, 0.6, np.full_like(small, _BACKGROUND_GRAY), 0.4, 0.0))
     canvas = np.full((view_grid.height, view_grid.width, 3), _BACKGROUND_GRAY, np.uint8)
     row = round((view_grid.y_max - grid.y_max) / view_grid.metres_per_pixel)
     column = round((grid.x_min - view_grid.x_min) / view_grid.metres_per_pixel)
-    part = small[: canvas.shape[0] - row, : canvas.shape[1] - column]
+    part = pale[: canvas.shape[0] - row, : canvas.shape[1] - column]
     canvas[row : row + part.shape[0], column : column + part.shape[1]] = part
     return canvas
 

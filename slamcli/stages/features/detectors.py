@@ -44,8 +44,8 @@ def _detect_orb(picture: Picture, options: FeatureOptions) -> Keypoints:
     if len(found) < options.count and options.min_fast_threshold < options.fast_threshold:
         orb = _orb(options, levels, options.min_fast_threshold)
         found = orb.detect(picture.gray, picture.allowed)
-    scale_of = [_orb_scale(options, octave) for octave in range(levels)]
-    scales = [scale_of[point.octave] for point in found]
+    scale_of = np.array([_orb_scale(options, octave) for octave in range(levels)])
+    scales = scale_of[[point.octave for point in found]] if found else scale_of[:0]
     chosen = [found[index] for index in _choose(picture, found, scales, options)]
     if options.upright:
         chosen = _upright(chosen)
@@ -140,13 +140,13 @@ def _detect_sift(picture: Picture, options: FeatureOptions) -> Keypoints:
     described: Sequence[cv2.KeyPoint]
     if options.upright:
         upright = _upright(sift.detect(picture.gray, picture.allowed))
-        chosen = _choose(picture, upright, _sift_scales(upright), options)
+        chosen = _choose(picture, upright, np.array(_sift_scales(upright)), options)
         described, computed = sift.compute(picture.gray, [upright[index] for index in chosen])
         descriptors = np.asarray(computed if described else [], np.float32)
     else:
         # One call for both: describing the surplus too costs less than a second scale space.
         found, computed = sift.detectAndCompute(picture.gray, picture.allowed)
-        chosen = _choose(picture, found, _sift_scales(found), options)
+        chosen = _choose(picture, found, np.array(_sift_scales(found)), options)
         described = [found[index] for index in chosen]
         descriptors = np.asarray(computed if found else [], np.float32)
         descriptors = descriptors.reshape(-1, _SIFT_DIMENSIONS)[chosen]
@@ -174,14 +174,14 @@ def _sift_octave(point: cv2.KeyPoint) -> int:
 def _choose(
     picture: Picture,
     found: Sequence[cv2.KeyPoint],
-    scales: Sequence[float],
+    scales: NDArray[np.float64],
     options: FeatureOptions,
 ) -> list[int]:
     """Return which of OpenCV's points to keep."""
     pixels = np.asarray(cv2.KeyPoint.convert(found), np.float64).reshape(-1, 2)
     responses = np.array([point.response for point in found], np.float32)
-    kept = choose(picture, pixels, responses, np.array(scales), options)
-    return [int(index) for index in kept]
+    kept: list[int] = choose(picture, pixels, responses, scales, options).tolist()
+    return kept
 
 
 def _unturned(keypoints: Keypoints, options: FeatureOptions) -> Keypoints:
