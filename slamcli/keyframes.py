@@ -18,13 +18,15 @@ from slamcli.core.records import Keyframe, Prepared
 from slamcli.stages import dense
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from numpy.typing import NDArray
 
     from slamcli.core.geometry import Grid
 
 _JPEG_QUALITY = 90
-# An expanded keyframe takes some megabytes; a few stand ready.
-_MOST_READY = 16
+# An expanded keyframe takes some megabytes; a few stand ready. Most cameras' views have one mask.
+_MOST_READY, _MOST_MASKS = 16, 4
 
 
 def compress(prepared: Prepared) -> Keyframe:
@@ -62,7 +64,8 @@ class Expander:
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
-        self._ready = lru_cache(maxsize=_MOST_READY)(partial(_expand, grid))
+        stencils = lru_cache(maxsize=_MOST_MASKS)(partial(_stencils, grid))
+        self._ready = lru_cache(maxsize=_MOST_READY)(partial(_expand, grid, stencils))
 
     def __reduce__(self) -> tuple[type[Expander], tuple[Grid]]:
         return Expander, (self.grid,)
@@ -78,12 +81,13 @@ class Expander:
         return self._ready(keyframe)
 
 
-def _expand(grid: Grid, keyframe: Keyframe) -> Prepared:
-    shape = -(-grid.height // 2), -(-grid.width // 2)
-    image, mask = _decode(keyframe.image), _decode(keyframe.mask)
-    if image is None or mask is None or image.shape != shape or mask.shape != shape:
+def _expand(
+    grid: Grid, stencils_of: Callable[[bytes], Sequence[dense.Stencil]], keyframe: Keyframe
+) -> Prepared:
+    image, stencils = _decode(keyframe.image, grid), stencils_of(keyframe.mask)
+    if image is None or not stencils:
         raise FrameError(f"keyframe {keyframe.name}: its pictures cannot be used")
-    levels = dense.levels_from_half(image, mask, grid)
+    levels = dense.levels_from_half(image, stencils, grid)
     features = keyframe.features
     if features.norm == "l2":
         features = replace(features, descriptors=features.descriptors.astype(np.float32))
@@ -98,10 +102,17 @@ def _expand(grid: Grid, keyframe: Keyframe) -> Prepared:
     )
 
 
-def _decode(encoded: bytes) -> NDArray[np.uint8] | None:
-    """Return the gray picture of a JPEG or PNG; None when it is none."""
+def _stencils(grid: Grid, encoded: bytes) -> tuple[dense.Stencil, ...]:
+    """Return the stencils of a keyframe's mask; none when it cannot be used."""
+    mask = _decode(encoded, grid)
+    return () if mask is None else dense.stencils_from_half(mask)
+
+
+def _decode(encoded: bytes, grid: Grid) -> NDArray[np.uint8] | None:
+    """Return the gray picture of a JPEG or PNG; None when it is none of a grid's views, halved."""
     try:
         picture = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_GRAYSCALE)
     except cv2.error:
         return None
-    return None if picture is None else np.asarray(picture, np.uint8)
+    shape = -(-grid.height // 2), -(-grid.width // 2)
+    return None if picture is None or picture.shape != shape else np.asarray(picture, np.uint8)

@@ -77,7 +77,7 @@ class Stencil:
 
 def make_stencils(mask: NDArray[np.uint8]) -> tuple[Stencil, ...]:
     """Return the stencils of all levels of views that see floor where (h, w) `mask` is 255."""
-    return _stencils_from_half(_halved(mask))
+    return stencils_from_half(_halved(mask))
 
 
 def make_levels(view: View, stencils: Sequence[Stencil] | None = None) -> tuple[DenseLevel, ...]:
@@ -97,17 +97,19 @@ def make_levels(view: View, stencils: Sequence[Stencil] | None = None) -> tuple[
 
 
 def levels_from_half(
-    image: NDArray[np.uint8], mask: NDArray[np.uint8], grid: Grid
+    image: NDArray[np.uint8], stencils: Sequence[Stencil], grid: Grid
 ) -> tuple[DenseLevel, ...]:
     """Return the pyramid of a view of which only its first level, at half resolution, is kept.
 
     Parameters
     ----------
-    image, mask : (h, w) uint8
+    image : (h, w) uint8
+    stencils : sequence of Stencil
+        From `stencils_from_half`.
     grid : Grid
         Of the whole view.
     """
-    return _levels(image, _stencils_from_half(mask), grid, 0.0)
+    return _levels(image, stencils, grid, 0.0)
 
 
 def _levels(
@@ -128,7 +130,8 @@ def _levels(
     return tuple(levels)
 
 
-def _stencils_from_half(mask: NDArray[np.uint8]) -> tuple[Stencil, ...]:
+def stencils_from_half(mask: NDArray[np.uint8]) -> tuple[Stencil, ...]:
+    """Return the stencils of all levels, by the mask (h, w) of the first."""
     stencils = [_stencil(mask)]
     while len(stencils) < _MOST_LEVELS and (
         len(stencils) < _LEAST_LEVELS or np.count_nonzero(mask == 255) > _MOST_COARSEST_PIXELS
