@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from slamcli.core.records import Frame
     from slamcli.io.frames import FrameFile
 
-_MOST_BYTES = 100_000_000
+_MOST_BYTES = 40_000_000
 
 
 class Glimpses:
