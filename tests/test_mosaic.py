@@ -12,7 +12,7 @@ import pytest
 from floor_pictures import asphalt, forward_camera, photograph
 
 from slamcli.core.config import PaintOptions
-from slamcli.core.geometry import Grid, Pose2
+from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.core.records import Frame, Shot
 from slamcli.painter import Painter
 from slamcli.stages import camera
@@ -284,18 +284,15 @@ def test_a_lens_is_read_through_where_each_point_lies() -> None:
     assert np.abs(difference).mean() < 0.7
 
 
-@pytest.mark.parametrize("bend", [0.0, -0.25])
-def test_a_picture_of_half_the_size_shows_a_coarse_map_no_elsewhere(bend: float) -> None:
-    calibration = replace(forward_camera(), distortion=np.array([bend, 0.0, 0.0, 0.0, 0.0]))
-    scale = 0.008
-    assert sampling.may_be_halved(calibration, scale)
-    assert not sampling.may_be_halved(calibration, scale / 2)
-    odd = replace(calibration, image_size=(639, 480))
-    assert not sampling.may_be_halved(odd, scale)
-    picture = cv2.GaussianBlur(pictures()[0].image, (0, 0), 3.0)
+@pytest.mark.parametrize("scale", [0.003, 0.008])
+def test_a_coarse_map_lies_where_the_floor_does(scale: float) -> None:
+    """Whichever levels of the pyramid it is read from, made here or by the decoder."""
+    calibration = forward_camera()
+    smooth = cv2.GaussianBlur(FLOOR, (0, 0), 8.0)
+    picture = photograph(smooth, FLOOR_GRID, calibration, POSES[0])
     half = cv2.resize(picture, (320, 240), interpolation=cv2.INTER_AREA)
     usable = sampling.border_fade(camera.sharpness_image(calibration))
-    grid = Grid(0.2, 0.2, scale, 50, 50)
+    grid = Grid(0.2, 0.2, scale, round(0.4 / scale), round(0.4 / scale))
     whole, halved = (
         sampling.sample(
             sampling.make_picture(pixels, usable, None, 3, halvings=halvings),
@@ -306,17 +303,26 @@ def test_a_picture_of_half_the_size_shows_a_coarse_map_no_elsewhere(bend: float)
         for pixels, halvings in ((picture, 0), (half, 1))
     )
     np.testing.assert_array_equal(whole.weight, halved.weight)
+    columns, rows = np.meshgrid(np.arange(grid.width), np.arange(grid.height))
+    metres = apply_homography(grid.metres_from_pixel, np.dstack([columns, rows]))
+    places = apply_homography(FLOOR_GRID.pixel_from_metres, metres).astype(np.float32)
+    true = cv2.remap(smooth, places[..., 0], places[..., 1], cv2.INTER_LINEAR).astype(np.float64)
     inside = cv2.erode((whole.weight > 0).astype(np.uint8), np.ones((5, 5))) > 0
-    values = [look.image[..., 1].astype(np.float64) for look in (whole, halved)]
-    down, across = np.gradient(values[0])
+    down, across = np.gradient(true)
     slopes = np.column_stack([across[inside], down[inside], np.ones(np.count_nonzero(inside))])
-    shift = np.linalg.lstsq(slopes, (values[1] - values[0])[inside], rcond=None)[0]
-    assert np.abs(shift[:2]).max() < 0.02
-    assert decibels_between(*(one[inside] for one in values)) > 35.0
+    for look in (whole, halved):
+        difference = look.image[..., 1][inside] - true[inside]
+        shift = np.linalg.lstsq(slopes, difference, rcond=None)[0]
+        assert np.abs(shift[:2]).max() * scale < 0.0001
+    if sampling.may_be_halved(calibration, scale):
+        np.testing.assert_array_equal(whole.image, halved.image)
 
 
-def decibels_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    return 10 * math.log10(255**2 / float(np.mean((a - b) ** 2)))
+def test_a_picture_is_decoded_at_half_its_size_for_coarse_maps_alone() -> None:
+    calibration = forward_camera()
+    assert sampling.may_be_halved(calibration, 0.008)
+    assert not sampling.may_be_halved(calibration, 0.004)
+    assert not sampling.may_be_halved(replace(calibration, image_size=(639, 480)), 0.008)
 
 
 def test_weight_grows_with_sharpness_and_fades_at_the_border() -> None:
