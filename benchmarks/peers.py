@@ -214,6 +214,8 @@ def compare(
         picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
         flat.append(path.with_suffix(".bmp"))
         cv2.imwrite(str(flat[-1]), picture)
+    # The first to run would else share the machine with a gigabyte on its way to the disk.
+    os.sync()
     outcomes = [slam(frames, calibration, work / "map", len(files), limit)]
     results = [work / "map" / "mosaic.png"]
     for tool, script in (PEERS[name] for name in peers):
