@@ -325,6 +325,18 @@ def test_a_picture_is_decoded_at_half_its_size_for_coarse_maps_alone() -> None:
     assert not sampling.may_be_halved(replace(calibration, image_size=(639, 480)), 0.008)
 
 
+def test_a_small_pictures_pyramid_ends_with_one_pixel() -> None:
+    image = np.full((16, 40, 3), 90, np.uint8)
+    made = sampling.make_picture(image, np.full((16, 40), 255, np.uint8), None, 6)
+    assert [level.shape[:2] for level in made.levels] == [
+        (16, 40),
+        (8, 20),
+        (4, 10),
+        (2, 5),
+        (1, 2),
+    ]
+
+
 def test_weight_grows_with_sharpness_and_fades_at_the_border() -> None:
     sharpness = np.full((100, 100), 500.0, np.float32)
     sharpness[:, 80:] = 0.0

@@ -112,6 +112,8 @@ def make_picture(
 ) -> Picture:
     """Return a frame's pyramid down to its `depth`-th halving, and which of its pixels may be used.
 
+    A small picture's ends sooner, with a side of one pixel.
+
     Parameters
     ----------
     image : (H, W, 3) or (H, W) uint8
@@ -127,7 +129,7 @@ def make_picture(
     if image.ndim == 2:
         image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
     levels = [image]
-    for _ in range(depth - halvings):
+    while len(levels) <= depth - halvings and min(levels[-1].shape[:2]) > 1:
         levels.append(_halved(levels[-1]))
     if mask is not None:
         # What lies between an opaque pixel and another is a mixture.
@@ -321,10 +323,10 @@ def _read(
     *,
     smooth: bool,
 ) -> NDArray[Value]:
-    """Read part of a raster from one pyramid level, halved `number` times.
+    """Read part of a raster from a level that has a pixel for each 2^number of the picture.
 
-    Its pixel k is that numbered ``2^number k + (2^halvings - 1) / 2`` of the picture: a mean of two
-    by two lies between them, a level of the pyramid on every other pixel.
+    Its pixel k lies at ``2^number k + (2^halvings - 1) / 2`` in the picture: in the middle of what a
+    mean was taken of so many times, two by two; of none where every so manyth pixel was taken.
     """
     method = cv2.INTER_CUBIC if smooth else cv2.INTER_LINEAR
     scale = 0.5**number
