@@ -383,7 +383,7 @@ class Mapper:
         return dense.Window(heading_for, math.radians(self.options.search_angle_degrees), radius)
 
     def _expect(self, keyframe: Prepared, prepared: Prepared) -> Pose2 | None:
-        """Return ``keyframe_from_now`` if the robot goes on as it did; None where that is unknown."""
+        """Return ``keyframe_from_now`` if the robot goes on as it did; None where none is known."""
         if self._motion is None or self._moved_at != prepared.index - 1:
             return None
         if self._graph[keyframe.index].fragment != self._graph[self._moved_at].fragment:

@@ -45,7 +45,7 @@ def _detect_orb(picture: Picture, options: FeatureOptions) -> Keypoints:
         orb = _orb(options, levels, options.min_fast_threshold)
         found = orb.detect(picture.gray, picture.allowed)
     scale_of = np.array([_orb_scale(options, octave) for octave in range(levels)])
-    scales = scale_of[[point.octave for point in found]] if found else scale_of[:0]
+    scales = scale_of[np.array([point.octave for point in found], np.int64)]
     chosen = [found[index] for index in _choose(picture, found, scales, options)]
     if options.upright:
         chosen = _upright(chosen)
@@ -140,13 +140,13 @@ def _detect_sift(picture: Picture, options: FeatureOptions) -> Keypoints:
     described: Sequence[cv2.KeyPoint]
     if options.upright:
         upright = _upright(sift.detect(picture.gray, picture.allowed))
-        chosen = _choose(picture, upright, np.array(_sift_scales(upright)), options)
+        chosen = _choose(picture, upright, _sift_scales(upright), options)
         described, computed = sift.compute(picture.gray, [upright[index] for index in chosen])
         descriptors = np.asarray(computed if described else [], np.float32)
     else:
         # One call for both: describing the surplus too costs less than a second scale space.
         found, computed = sift.detectAndCompute(picture.gray, picture.allowed)
-        chosen = _choose(picture, found, np.array(_sift_scales(found)), options)
+        chosen = _choose(picture, found, _sift_scales(found), options)
         described = [found[index] for index in chosen]
         descriptors = np.asarray(computed if found else [], np.float32)
         descriptors = descriptors.reshape(-1, _SIFT_DIMENSIONS)[chosen]
@@ -160,9 +160,9 @@ def _detect_sift(picture: Picture, options: FeatureOptions) -> Keypoints:
     return _unturned(replace(keypoints, sigmas=_SIFT_SIGMA_PIXELS * keypoints.scales), options)
 
 
-def _sift_scales(points: Sequence[cv2.KeyPoint]) -> list[float]:
+def _sift_scales(points: Sequence[cv2.KeyPoint]) -> NDArray[np.float64]:
     """Return how many pixels of the picture one pixel of each point's octave spans."""
-    return [2.0 ** _sift_octave(point) for point in points]
+    return np.array([2.0 ** _sift_octave(point) for point in points])
 
 
 def _sift_octave(point: cv2.KeyPoint) -> int:
@@ -208,7 +208,7 @@ def _keypoints(
     points: Sequence[cv2.KeyPoint],
     descriptors: NDArray[np.uint8] | NDArray[np.float32],
     octaves: Sequence[int],
-    scales: Sequence[float],
+    scales: Sequence[float] | NDArray[np.float64],
     norm: DescriptorNorm,
 ) -> Keypoints:
     return Keypoints(

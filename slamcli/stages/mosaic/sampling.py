@@ -325,8 +325,8 @@ def _read(
 ) -> NDArray[Value]:
     """Read part of a raster from a level that has a pixel for each 2^number of the picture.
 
-    Its pixel k lies at ``2^number k + (2^halvings - 1) / 2`` in the picture: in the middle of what a
-    mean was taken of so many times, two by two; of none where every so manyth pixel was taken.
+    Its pixel k lies at ``2^number k + (2^halvings - 1) / 2`` in the picture: amid the pixels that
+    it is the mean of, two by two so many times, or on one of them.
     """
     method = cv2.INTER_CUBIC if smooth else cv2.INTER_LINEAR
     scale = 0.5**number
