@@ -91,11 +91,11 @@ def true_scale(origin: Origin | None, calibration: Calibration) -> float:
     The focal length and the tilt that frames tell change how large the square seems in its photo:
     least squares on the reprojection of its corners, by size and place. 1 without a square.
     """
+    if origin is None or origin.target.split()[:1] not in (["square"], ["aruco"]):
+        return 1.0
     # Slow to load, and of use to few runs of `slam stitch`.
     from scipy.optimize import least_squares
 
-    if origin is None or origin.target.split()[:1] not in (["square"], ["aruco"]):
-        return 1.0
     corners = solving.sort_corners(origin.corners, calibration.image_size)
     target = solving.square_target(origin.side_metres)
     pixels = camera.undistort_points(calibration, corners)
