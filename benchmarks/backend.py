@@ -17,13 +17,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
+from slamcli.core.camera import projection
 from slamcli.core.geometry import Pose2, pose_array
 from slamcli.core.records import Features, Link, Prepared
 from slamcli.core.telemetry import CompassReading, GpsReading
-from slamcli.fusion import Senses
-from slamcli.graph import Graph
-from slamcli.stages import camera, covisibility
-from slamcli.stages.places import PlaceIndex
+from slamcli.mapping.backend.backend import Graph
+from slamcli.mapping.backend.sensors import Senses
+from slamcli.stages import covisibility
+from slamcli.stages.place_index import PlaceIndex
 
 SIDE_METRES = 1.28
 STEP_METRES, LANE_METRES, LANE_LENGTH_METRES = 0.2, 0.8, 40.0
@@ -144,7 +145,7 @@ def stream(world: World, graph: Graph) -> list[float]:
 def close(world: World, graph: Graph) -> tuple[int, float]:
     """Link what the poses say sees the same floor; return how many candidates, and the seconds."""
     started = time.process_time()
-    calibration = camera.top_down_calibration((128, 128))
+    calibration = projection.top_down_calibration((128, 128))
     # Its views are as many metres wide as pixels.
     shrunk = pose_array([graph.pose(i) for i in range(len(world.poses))])
     shrunk[:, :2] *= 128.0 / SIDE_METRES

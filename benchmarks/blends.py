@@ -19,16 +19,16 @@ import cv2
 import numpy as np
 from peers import COURSE_START, likeness
 
+from slamcli.core.camera import projection
 from slamcli.core.config import PaintOptions
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Calibration, Frame, Shot
 from slamcli.io.calibrations import load_calibration
 from slamcli.io.frames import list_frames, read_frame
-from slamcli.painter import Painter
-from slamcli.stages import camera
+from slamcli.simulation import floors, photograph
 from slamcli.stages.mosaic import exposure, tiles
 from slamcli.stages.mosaic.blend import BLENDS
-from slamcli.stages.simulate import floors, photograph
+from slamcli.stages.mosaic.painter import Painter
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -63,7 +63,7 @@ def load(folder: Path) -> Drive:
 
 def evened(drive: Drive, frames: list[Frame]) -> Exposure:
     """Return the frames' gains and the lens's vignetting."""
-    hull = camera.footprint_hull(drive.calibration)
+    hull = projection.footprint_hull(drive.calibration)
     step = exposure.comparison_step(drive.calibration)
     observed = []
     for frame, shot in zip(frames, drive.shots, strict=True):

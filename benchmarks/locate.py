@@ -19,10 +19,10 @@ import numpy as np
 
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame, Keyframe, PoseEstimate
-from slamcli.core.simulation import CameraOptions, DisturbanceOptions
-from slamcli.locate import Locator
-from slamcli.mapper import Mapper
-from slamcli.stages.simulate import floors, photograph
+from slamcli.mapping.localizer import Locator
+from slamcli.mapping.mapper import Mapper
+from slamcli.simulation import floors, photograph
+from slamcli.simulation.config import CameraOptions, DisturbanceOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -32,7 +32,7 @@ import numpy as np
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.io.calibrations import load_calibration
 from slamcli.io.frames import list_frames
-from slamcli.stages.simulate import floors, photograph
+from slamcli.simulation import floors, photograph
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

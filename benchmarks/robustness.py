@@ -21,13 +21,13 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from slamcli.core.camera import projection
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame
-from slamcli.core.simulation import CameraOptions, DisturbanceOptions
 from slamcli.io.frames import read_image
-from slamcli.mapper import Mapper
-from slamcli.stages import camera
-from slamcli.stages.simulate import drive, floors, photograph
+from slamcli.mapping.mapper import Mapper
+from slamcli.simulation import drive, floors, photograph
+from slamcli.simulation.config import CameraOptions, DisturbanceOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -126,7 +126,7 @@ class Outcome:
 
 def step_for_overlap(world: World, calibration: Calibration, overlap: float) -> float:
     """Return the step, metres, after which two footprints share so much of one."""
-    outline = camera.footprint_hull(calibration).astype(np.float32)
+    outline = projection.footprint_hull(calibration).astype(np.float32)
     whole = cv2.contourArea(outline)
     for step in np.arange(0.02, 4.0, 0.01):
         moved = circle(world.radius_metres, float(step), 1)[1].apply(outline.astype(np.float64))
@@ -240,7 +240,7 @@ def plain_motions(
 
     By ORB, ratio test and a partial affine, on the true homography's bird's-eye views.
     """
-    grid = camera.footprint(calibration, Mapper(calibration).metres_per_pixel)
+    grid = projection.footprint(calibration, Mapper(calibration).metres_per_pixel)
     pixel_from_image = grid.pixel_from_metres @ calibration.robot_from_image
     orb = cv2.ORB_create(2000)
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING)

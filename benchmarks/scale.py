@@ -20,7 +20,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from slamcli.core.config import MapperOptions, PaintOptions, ProductOptions
-from slamcli.run.executor import default_workers
+from slamcli.run.session.executor import default_workers
 from slamcli.run.stitch import StitchOptions, stitch
 
 PARTS = 10

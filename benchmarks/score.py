@@ -3,8 +3,8 @@
 Run: python benchmarks/score.py [--floors a,b] [--disturbances c,d] [--frames N] [--workers N].
 Every comparison that the mapper makes on the drives of `robustness.py`, with another seed, counts,
 and frames beside the next one, and beside others that show other floor, with no word of how the
-robot moved. Printed: the weights, in the order of `slamcli.comparison.score.EVIDENCE`, and how
-often motions of each score are right when the score is fitted to all other floors.
+robot moved. Printed: the weights, in the order of `slamcli.registration.confidence.EVIDENCE`, and
+how often motions of each score are right when the score is fitted to all other floors.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ import numpy as np
 from robustness import DISTURBANCES, FRAME_RATE_HERTZ, WORLDS, is_false, take_frames
 from scipy.optimize import minimize
 
-from slamcli.comparison import compare, score
 from slamcli.core.records import Frame
-from slamcli.mapper import Mapper
+from slamcli.mapping.mapper import Mapper
+from slamcli.registration import compare, confidence
 from slamcli.stages import dense
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from slamcli.comparison import Trial
     from slamcli.core.geometry import Pose2
+    from slamcli.registration import Trial
 
 FLOORS = "course,asphalt,carpet,tiles,planks,terrazzo,bare,textureless-course,five-prints"
 KINDS = "none,motion-blur,noise,legs,low-overlap,rocking"
@@ -103,7 +103,7 @@ def main() -> None:
             right += [true for _, true in found]
     names, evidence, true = np.array(floors), np.array(rows), np.array(right)
     print(f"{len(true)} motions, {np.mean(true):.0%} of them right")
-    for name, weight in zip(score.EVIDENCE, fit(evidence, true), strict=True):
+    for name, weight in zip(confidence.EVIDENCE, fit(evidence, true), strict=True):
         print(f"{weight:8.2f}  {name}")
     foretold = np.zeros(len(true))
     for floor in dict.fromkeys(floors):

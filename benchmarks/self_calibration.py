@@ -22,8 +22,9 @@ from pathlib import Path
 
 import numpy as np
 
+from slamcli.core.camera import projection
 from slamcli.io.calibrations import load_calibration, save_calibration
-from slamcli.stages import adjustment, camera
+from slamcli.stages import adjustment
 
 SLAM = (sys.executable, "-m", "slamcli")
 K1, FOCAL_SHARE, PITCH_DEGREES = -0.2, 0.05, 2.0
@@ -90,7 +91,9 @@ def simulate(folder: Path, world: World, frames: int, size: str, seed: int) -> N
     off = np.zeros(7)
     off[0], off[1], off[3] = math.log1p(FOCAL_SHARE), -K1, math.radians(PITCH_DEGREES)
     wrong = adjustment.changed(right, off)
-    seen = camera.choose_max_range(wrong.camera_matrix, wrong.image_from_robot, wrong.image_size)
+    seen = projection.choose_max_range(
+        wrong.camera_matrix, wrong.image_from_robot, wrong.image_size
+    )
     save_calibration(folder / "wrong.yaml", replace(wrong, max_range_metres=seen))
 
 

@@ -27,17 +27,18 @@ import cv2
 import numpy as np
 from scale import repeat
 
+from slamcli.core.camera import projection
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Calibration, Shot, Tile
-from slamcli.io import pngs, rasters
 from slamcli.io.calibrations import load_calibration, save_calibration
 from slamcli.io.files import write_image
 from slamcli.io.frames import list_frames, read_frame
-from slamcli.mapper import Mapper
-from slamcli.painter import Painter
-from slamcli.run.executor import default_workers
-from slamcli.stages import align, camera, dense, features, view
+from slamcli.io.raster import png, world_file
+from slamcli.mapping.mapper import Mapper
+from slamcli.run.session.executor import default_workers
+from slamcli.stages import align, dense, features, view
 from slamcli.stages.mosaic import exposure
+from slamcli.stages.mosaic.painter import Painter
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -55,7 +56,7 @@ def make_calibration() -> Calibration:
     width, height = IMAGE_SIZE
     matrix = np.array([[1600.0, 0, (width - 1) / 2], [0, 1600.0, (height - 1) / 2], [0, 0, 1.0]])
     pitch = math.radians(35.0)
-    robot_from_image = camera.compose_robot_from_image(matrix, 0.3, pitch, 0.0)
+    robot_from_image = projection.compose_robot_from_image(matrix, 0.3, pitch, 0.0)
     image_from_robot = np.linalg.inv(robot_from_image)
     return Calibration(
         camera_matrix=matrix,
@@ -66,7 +67,7 @@ def make_calibration() -> Calibration:
         height_metres=0.3,
         pitch_radians=pitch,
         roll_radians=0.0,
-        max_range_metres=camera.choose_max_range(matrix, image_from_robot, IMAGE_SIZE),
+        max_range_metres=projection.choose_max_range(matrix, image_from_robot, IMAGE_SIZE),
     )
 
 
@@ -207,8 +208,8 @@ def measure(calibration: Calibration, files: list[FrameFile], scale: float) -> l
     blend = median_milliseconds(paint_tile, len(plan)) * len(plan) / count
     picture = np.vstack([tile.image for tile in tiles if tile is not None])
     mask = np.full(picture.shape[:2], 255, np.uint8)
-    pixels = rasters.transparent(picture, mask)
-    encode = median_milliseconds(lambda _: pngs.compress(pixels), 3) / count
+    pixels = world_file.transparent(picture, mask)
+    encode = median_milliseconds(lambda _: png.compress(pixels), 3) / count
     bare_encode = median_milliseconds(lambda _: encode_png(pixels), 3) / count
     return [
         Row("decode JPEG in gray", gray, bare_gray),
@@ -275,7 +276,7 @@ def main() -> None:
             (drive / "frames").mkdir()
             make_frames(calibration, told.frames, drive / "frames")
             save_calibration(drive / "camera.yaml", calibration)
-        scale = told.metres_per_pixel or camera.default_metres_per_pixel(calibration)
+        scale = told.metres_per_pixel or projection.default_metres_per_pixel(calibration)
         rows = measure(calibration, list_frames([drive / "frames"])[: told.frames], scale)
         print(
             f"{platform.processor() or platform.machine()}, Python {platform.python_version()}, "

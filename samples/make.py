@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slamcli.core.simulation import SimulationOptions
 from slamcli.io.files import write_image, write_text
 from slamcli.run.simulate import simulate
+from slamcli.simulation.config import SimulationOptions
 
 FOLDER = Path(__file__).resolve().parent
 WHITE = (255, 255, 255)

@@ -33,9 +33,9 @@ if TYPE_CHECKING:
         TelemetryOptions,
     )
     from slamcli.io.calibrations import load_calibration
-    from slamcli.io.maps import load_map
-    from slamcli.locate import Locator
-    from slamcli.mapper import Mapper
+    from slamcli.io.map_file import load_map
+    from slamcli.mapping.localizer import Locator
+    from slamcli.mapping.mapper import Mapper
 
 __version__ = "0.1.0"
 
@@ -52,9 +52,9 @@ _HOMES = {
     "Grid": "slamcli.core.geometry",
     "InputError": "slamcli.core.errors",
     "Link": "slamcli.core.records",
-    "Locator": "slamcli.locate",
+    "Locator": "slamcli.mapping.localizer",
     "MapError": "slamcli.core.errors",
-    "Mapper": "slamcli.mapper",
+    "Mapper": "slamcli.mapping.mapper",
     "MapperOptions": "slamcli.core.config",
     "MatchOptions": "slamcli.core.config",
     "OdometryReading": "slamcli.core.telemetry",
@@ -64,7 +64,7 @@ _HOMES = {
     "SlamcliError": "slamcli.core.errors",
     "TelemetryOptions": "slamcli.core.telemetry",
     "load_calibration": "slamcli.io.calibrations",
-    "load_map": "slamcli.io.maps",
+    "load_map": "slamcli.io.map_file",
 }
 
 __all__ = [

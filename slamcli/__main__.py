@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from slamcli.entry import main
+from slamcli.cli.entry import main
 
 main()

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from slamcli.core.camera import projection
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Calibration, View
-from slamcli.stages import camera
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -50,7 +50,7 @@ def look(
 
 def top_down() -> Calibration:
     """The stand-in for pixel units."""
-    return camera.top_down_calibration((SIDE, SIDE))
+    return projection.top_down_calibration((SIDE, SIDE))
 
 
 def forward_camera() -> Calibration:
@@ -62,7 +62,7 @@ def forward_camera() -> Calibration:
         distortion=np.zeros(5),
         distortion_model="plumb_bob",
         image_size=(640, 480),
-        robot_from_image=camera.compose_robot_from_image(matrix, 0.3, pitch, 0.0),
+        robot_from_image=projection.compose_robot_from_image(matrix, 0.3, pitch, 0.0),
         height_metres=0.3,
         pitch_radians=pitch,
         roll_radians=0.0,

@@ -14,17 +14,18 @@ import pytest
 from click.testing import CliRunner, Result
 from trajectories import compare, read_poses
 
-from slamcli.cli import main
+from slamcli.cli.main import main
+from slamcli.core.camera import projection
+from slamcli.core.camera.mounting import rocked
 from slamcli.core.geometry import Pose2, apply_homography
-from slamcli.core.mounting import rocked
 from slamcli.core.records import Rocking
-from slamcli.core.simulation import CameraOptions
 from slamcli.io.calibrations import Origin, load_calibration, load_origin, save_calibration
-from slamcli.run.refinement import true_scale
-from slamcli.stages import adjustment, camera
+from slamcli.run.calibrate.self_calibration import true_scale
+from slamcli.simulation.config import CameraOptions
+from slamcli.simulation.photograph import make_camera
+from slamcli.stages import adjustment
 from slamcli.stages.adjustment.projection import transfer_with_jacobians
 from slamcli.stages.calibrate import square_target
-from slamcli.stages.simulate.photograph import make_camera
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -260,7 +261,7 @@ def test_spots_are_found_to_hundredths_of_a_pixel_and_lines_along_one_direction(
 
 def test_the_square_holds_the_height(true_camera: Calibration, tmp_path: Path) -> None:
     floor = Pose2(0.45, 0.03, 0.2).apply(square_target(0.3)[:, ::-1] * (-1.0, 1.0))
-    corners, seen = camera.project_floor(true_camera, floor)
+    corners, seen = projection.project_floor(true_camera, floor)
     assert seen.all()
     wrong = rocked(true_camera, Rocking(0.0, 0.0, 0.03))
     save_calibration(tmp_path / "a.yaml", wrong, Origin("p.png", "square", 0.3, corners))

@@ -9,7 +9,7 @@ import math
 import pytest
 from click.testing import CliRunner
 
-from slamcli.cli import main
+from slamcli.cli.main import main
 
 # first, second, scale, degrees, x, y, and what each may be off by: the transform from the first to
 # the second in image axes, measured with SIFT and six degrees of freedom.

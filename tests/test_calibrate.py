@@ -12,13 +12,14 @@ import pytest
 from click.testing import CliRunner
 from square_photos import SIDE_METRES, Photo, random_photo, render, rotation
 
-from slamcli.cli import main
+from slamcli.cli.main import main
+from slamcli.core.camera import projection
 from slamcli.core.errors import CalibrationError, InputError, OutputError
 from slamcli.core.geometry import apply_homography
 from slamcli.io.calibrations import load_calibration, save_calibration
 from slamcli.run.calibrate import CalibrateOptions
 from slamcli.run.calibrate import calibrate as run_calibrate
-from slamcli.stages import calibrate, camera
+from slamcli.stages import calibrate
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,11 +35,11 @@ def floor_distance_errors(photo: Photo, calibration: Calibration) -> np.ndarray:
     floor = lattice @ rotation(photo.yaw).T + photo.centre
     depth = floor @ photo.image_from_robot[2, :2] + photo.image_from_robot[2, 2]
     floor = floor[depth > 0.02]
-    pixels = camera.distort_points(
+    pixels = projection.distort_points(
         photo.intrinsics, apply_homography(photo.image_from_robot, floor)
     )
     seen = np.all((pixels >= 0) & (pixels <= np.array(photo.size) - 1), axis=1)
-    undistorted = camera.undistort_points(calibration, pixels[seen])
+    undistorted = projection.undistort_points(calibration, pixels[seen])
     measured = apply_homography(calibration.robot_from_image, undistorted)
     first, second = np.triu_indices(int(seen.sum()), 1)
     true = np.linalg.norm(floor[seen][first] - floor[seen][second], axis=1)
@@ -60,7 +61,7 @@ def run(photo: Photo, folder: Path, options: CalibrateOptions = SQUARE) -> Calib
 
 def solve(photo: Photo, corners: np.ndarray, sigma: float, *, known: bool) -> calibrate.Mounting:
     ordered = calibrate.sort_corners(corners, photo.size)
-    undistorted = camera.undistort_points(photo.intrinsics, ordered) if known else ordered
+    undistorted = projection.undistort_points(photo.intrinsics, ordered) if known else ordered
     points = calibrate.FloorPoints(
         calibrate.square_target(photo.side), undistorted, np.eye(8) * sigma**2
     )
@@ -237,8 +238,8 @@ def test_the_command_writes_a_calibration_and_a_check_picture(tmp_path: Path) ->
 def test_the_far_limit_is_chosen_or_given(tmp_path: Path) -> None:
     photo = Photo(pitch=20.0, height=0.2, centre=(0.6, 0.0), noise=2.0)
     chosen = run(photo, tmp_path)
-    near = camera.floor_sampling(chosen, [[0.35, 0.0]])[0, 0]
-    far = camera.floor_sampling(chosen, [[chosen.max_range_metres, 0.0]])[0, 0]
+    near = projection.floor_sampling(chosen, [[0.35, 0.0]])[0, 0]
+    far = projection.floor_sampling(chosen, [[chosen.max_range_metres, 0.0]])[0, 0]
     assert far / near > 3
     given = run(photo, tmp_path, CalibrateOptions(SIDE_METRES, max_range_metres=0.9))
     assert given.max_range_metres == 0.9
@@ -280,7 +281,7 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path: Path) -> None:
     output = tmp_path / "out.yaml"
     corners = ((100.0, 100.0), (300.0, 100.0), (300.0, 300.0), (100.0, 300.0))
     lens = tmp_path / "lens.yaml"
-    save_calibration(lens, camera.top_down_calibration((320, 240)))
+    save_calibration(lens, projection.top_down_calibration((320, 240)))
     text = tmp_path / "text.png"
     text.write_text("no picture")
     cases: list[tuple[Path, CalibrateOptions, type[Exception], str]] = [

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import yaml
 
+from slamcli.core.camera import projection
 from slamcli.core.errors import CalibrationError
 from slamcli.core.records import Calibration
 from slamcli.io.calibrations import Origin, load_calibration, load_intrinsics, save_calibration
-from slamcli.stages import camera
 
 SAMPLES = Path(__file__).resolve().parent.parent / "calibration"
 
@@ -26,7 +26,7 @@ def example(**changes: object) -> Calibration:
         distortion=np.array([-0.21, 1e-05, -2e-17, 0.0, 0.3]),
         distortion_model="plumb_bob",
         image_size=(640, 480),
-        robot_from_image=camera.compose_robot_from_image(matrix, height, pitch, roll),
+        robot_from_image=projection.compose_robot_from_image(matrix, height, pitch, roll),
         height_metres=height,
         pitch_radians=pitch,
         roll_radians=roll,
@@ -171,4 +171,4 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["simulated_square.yaml", "webcam_low.yaml"])
 def test_the_samples_load(name: str) -> None:
     calibration = load_calibration(str(SAMPLES / name))
-    assert camera.seen_floor(calibration).shape[1] == 2
+    assert projection.seen_floor(calibration).shape[1] == 2

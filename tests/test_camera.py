@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from slamcli.core.camera import projection
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.core.records import Calibration, DistortionModel
-from slamcli.stages import camera
 
 CAMERA_MATRIX = np.array([[600.0, 0.0, 319.5], [0.0, 600.0, 239.5], [0.0, 0.0, 1.0]])
 
@@ -28,7 +28,7 @@ def calibration_of(
         distortion=np.array(distortion),
         distortion_model=model,
         image_size=(640, 480),
-        robot_from_image=camera.compose_robot_from_image(CAMERA_MATRIX, 0.5, pitch, roll),
+        robot_from_image=projection.compose_robot_from_image(CAMERA_MATRIX, 0.5, pitch, roll),
         height_metres=0.5,
         pitch_radians=pitch,
         roll_radians=roll,
@@ -66,16 +66,18 @@ def test_positive_roll_lowers_the_right_side() -> None:
 def test_distortion_is_undone(distortion: tuple[float, ...], model: DistortionModel) -> None:
     calibration = calibration_of(distortion=distortion, model=model)
     pixels = np.array([[5.0, 5.0], [320.0, 240.0], [600.0, 100.0], [50.0, 470.0]])
-    undistorted = camera.undistort_points(calibration, pixels)
+    undistorted = projection.undistort_points(calibration, pixels)
     assert np.abs(undistorted - pixels).max() > 1.0
-    np.testing.assert_allclose(camera.distort_points(calibration, undistorted), pixels, atol=1e-4)
+    np.testing.assert_allclose(
+        projection.distort_points(calibration, undistorted), pixels, atol=1e-4
+    )
 
 
 def test_sampling_is_what_one_pixel_covers() -> None:
     calibration = calibration_of()
     pixels = np.array([[320.0, 300.0], [320.0, 301.0], [321.0, 300.0]])
     floor = apply_homography(calibration.robot_from_image, pixels)
-    along, across = camera.floor_sampling(calibration, floor[:1])[0]
+    along, across = projection.floor_sampling(calibration, floor[:1])[0]
     assert along == pytest.approx(np.linalg.norm(floor[1] - floor[0]), rel=0.01)
     assert across == pytest.approx(np.linalg.norm(floor[2] - floor[0]), rel=0.01)
 
@@ -84,14 +86,14 @@ def test_a_raster_is_projected_like_its_points_and_never_from_behind() -> None:
     calibration = calibration_of(
         pitch_degrees=12.0, roll_degrees=3.0, distortion=(-0.3, 0.1, 0.0, 0.0, 0.0)
     )
-    grid = camera.footprint(calibration, 0.02).window(-60, -20, 160, 140)
+    grid = projection.footprint(calibration, 0.02).window(-60, -20, 160, 140)
     robot_from_grid = Pose2(0.1, -0.05, 0.2)
-    sharpness = camera.sharpness_image(calibration)
-    mapping = camera.sampling_map(calibration, sharpness, grid, robot_from_grid)
+    sharpness = projection.sharpness_image(calibration)
+    mapping = projection.sampling_map(calibration, sharpness, grid, robot_from_grid)
     columns, rows = np.meshgrid(np.arange(grid.width), np.arange(grid.height))
     inside = np.column_stack([columns.ravel(), rows.ravel()])
     floor = robot_from_grid.apply(apply_homography(grid.metres_from_pixel, inside))
-    pixels, seen = camera.project_floor(calibration, floor)
+    pixels, seen = projection.project_floor(calibration, floor)
     drawn = mapping.sharpness.ravel() > 0
     # Interpolation may count a pixel in that lies on the very border.
     assert np.count_nonzero(drawn != seen) < 0.02 * len(seen)
@@ -100,36 +102,36 @@ def test_a_raster_is_projected_like_its_points_and_never_from_behind() -> None:
     mapped = np.column_stack([mapping.columns.ravel(), mapping.rows.ravel()])
     np.testing.assert_allclose(mapped[both], pixels[both], atol=1e-3)
     assert floor[drawn, 0].min() > 0
-    sampling = np.sqrt(np.prod(camera.floor_sampling(calibration, floor[both]), axis=1))
+    sampling = np.sqrt(np.prod(projection.floor_sampling(calibration, floor[both]), axis=1))
     ratio = mapping.sharpness.ravel()[both] * sampling
     assert np.median(ratio) == pytest.approx(1.0, abs=0.01)
 
 
 def test_the_footprint_reaches_from_the_near_edge_to_the_far_limit() -> None:
     calibration = calibration_of(pitch_degrees=20.0, max_range_metres=1.5)
-    grid = camera.footprint(calibration, 0.01)
+    grid = projection.footprint(calibration, 0.01)
     near = 0.5 / math.tan(math.radians(20.0) + math.atan2(479 - 239.5, 600))
     assert grid.x_min == pytest.approx(near, abs=0.02)
     assert grid.x_max == pytest.approx(1.5, abs=0.011)
 
 
 def test_the_far_limit_is_where_a_pixel_covers_too_much() -> None:
-    level = camera.image_from_robot_homography(CAMERA_MATRIX, 0.5, math.radians(5.0), 0.0)
-    far = camera.choose_max_range(CAMERA_MATRIX, level, (640, 480))
+    level = projection.image_from_robot_homography(CAMERA_MATRIX, 0.5, math.radians(5.0), 0.0)
+    far = projection.choose_max_range(CAMERA_MATRIX, level, (640, 480))
     calibration = calibration_of(pitch_degrees=5.0, max_range_metres=far)
-    near = camera.footprint(calibration, 0.001).x_min
-    along = camera.floor_sampling(calibration, [[near, 0.0], [far, 0.0]])[:, 0]
-    assert along[1] / along[0] == pytest.approx(camera.FAR_TO_NEAR_SAMPLING_RATIO, rel=0.15)
+    near = projection.footprint(calibration, 0.001).x_min
+    along = projection.floor_sampling(calibration, [[near, 0.0], [far, 0.0]])[:, 0]
+    assert along[1] / along[0] == pytest.approx(projection.FAR_TO_NEAR_SAMPLING_RATIO, rel=0.15)
 
 
 def test_a_camera_that_sees_no_floor_says_so() -> None:
     with pytest.raises(CalibrationError, match="sees no floor"):
-        camera.footprint(calibration_of(pitch_degrees=-50.0), 0.01)
+        projection.footprint(calibration_of(pitch_degrees=-50.0), 0.01)
 
 
 def test_top_down_frames_are_their_own_map() -> None:
-    calibration = camera.top_down_calibration((64, 48))
-    grid = camera.footprint(calibration, camera.default_metres_per_pixel(calibration))
+    calibration = projection.top_down_calibration((64, 48))
+    grid = projection.footprint(calibration, projection.default_metres_per_pixel(calibration))
     assert (grid.width, grid.height, grid.metres_per_pixel) == (64, 48, 1.0)
     corner = apply_homography(calibration.robot_from_image, [[0.0, 0.0]])
     np.testing.assert_allclose(corner, [[-31.5, 23.5]])
@@ -138,7 +140,7 @@ def test_top_down_frames_are_their_own_map() -> None:
 def test_a_tilt_shifts_far_floor_as_range_sigma_says() -> None:
     tilt = 1e-4
     before, after = calibration_of(20.0), calibration_of(20.0 + math.degrees(tilt))
-    pixel = camera.project_floor(before, [[1.2, 0.1]])[0]
+    pixel = projection.project_floor(before, [[1.2, 0.1]])[0]
     moved = apply_homography(after.robot_from_image, pixel)[0]
     shift = math.hypot(1.2, 0.1) - math.hypot(*moved)
-    assert shift == pytest.approx(camera.range_sigma(before, [[1.2, 0.1]], tilt)[0], rel=0.01)
+    assert shift == pytest.approx(projection.range_sigma(before, [[1.2, 0.1]], tilt)[0], rel=0.01)

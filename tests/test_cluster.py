@@ -10,10 +10,10 @@ import distributed
 import pytest
 from click.testing import CliRunner
 
-from slamcli.cli import main
+from slamcli.cli.main import main
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import InputError
-from slamcli.run.executor import ordered
+from slamcli.run.session.executor import ordered
 from slamcli.run.stitch import StitchOptions, stitch
 
 if TYPE_CHECKING:
@@ -72,6 +72,6 @@ def test_a_worker_that_dies_changes_no_byte(
 
 
 def test_where_no_scheduler_answers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slamcli.run.cluster._CONNECT_SECONDS", 0.2)
+    monkeypatch.setattr("slamcli.run.session.cluster._CONNECT_SECONDS", 0.2)
     with pytest.raises(InputError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         list(ordered(abs, [1, 2], 1, "tcp://127.0.0.1:9"))

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import slamcli
-from slamcli.comparison import compare, polishing
 from slamcli.core.config import MapperOptions, MatchOptions
 from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.core.records import Alignment, Calibration, Features, Frame, Prepared
-from slamcli.core.simulation import CameraOptions, DisturbanceOptions
+from slamcli.registration import compare, refinement
+from slamcli.simulation import floors, photograph
+from slamcli.simulation.config import CameraOptions, DisturbanceOptions
 from slamcli.stages import align, dense
-from slamcli.stages.simulate import floors, photograph
 
 CAMERA = CameraOptions(size=(400, 300))
 CALIBRATION = photograph.make_camera(CAMERA)
@@ -308,8 +308,8 @@ def test_rocking_is_told_where_a_steady_fit_correlates_well(floor: str, place: i
     assert steady.rocks
     metres, _ = error_of(steady.a_from_b, ROCKED_MOTION)
     assert metres > 0.0007
-    near = polishing.Pair(a.levels, b.levels)
-    assert polishing.judge_refined(near, steady).correlation > 0.95
+    near = refinement.Pair(a.levels, b.levels)
+    assert refinement.judge_refined(near, steady).correlation > 0.95
     trial = compare(a, b, None, calibration, MapperOptions())
     assert trial.link is not None
     metres, _ = error_of(trial.link.a_from_b, ROCKED_MOTION)
@@ -343,8 +343,8 @@ def test_much_rocking_is_found_from_where_less_of_it_led() -> None:
     options = MapperOptions()
     found = align.align(a.features, b.features, options.matching)
     assert found.pose is not None
-    near = polishing.Pair(a.levels, b.levels)
-    fit = polishing.polish(near, found.pose, found.covariance, calibration, options)
+    near = refinement.Pair(a.levels, b.levels)
+    fit = refinement.polish(near, found.pose, found.covariance, calibration, options)
     assert fit is not None
     metres, _ = error_of(fit.pose, ROCKED_MOTION)
     assert metres < 0.00025

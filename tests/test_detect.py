@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from slamcli.cli import main
+from slamcli.cli.main import main
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import write_image

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from slamcli.cli import main
+from slamcli.cli.main import main
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2, compose_poses, pose_array, relative_poses
 from slamcli.core.trajectory import Trajectory

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from slamcli.cli import main
+from slamcli.cli.main import main
 from slamcli.core.geometry import Pose2, pose_array, relative_poses
 from slamcli.core.records import Link
-from slamcli.io.graphs import write_g2o, write_links
+from slamcli.io.g2o import write_g2o, write_links
 from slamcli.io.trajectories import read_trajectory, write_kitti, write_tum
 
 if TYPE_CHECKING:

@@ -16,24 +16,24 @@ import pytest
 from click.testing import CliRunner
 
 import slamcli
-from slamcli.cli import main
+from slamcli.cli.main import main
 from slamcli.core.geometry import Pose2, pose_array
 from slamcli.core.records import Link, Prepared
-from slamcli.core.simulation import CameraOptions, DisturbanceOptions, SimulationOptions
 from slamcli.core.telemetry import (
     CompassReading,
     GpsReading,
     OdometryReading,
     TelemetryOptions,
 )
-from slamcli.fusion import Senses
-from slamcli.graph import Graph
 from slamcli.io.telemetry import write_gps
 from slamcli.io.trajectories import read_trajectory
+from slamcli.mapping.backend.backend import Graph
+from slamcli.mapping.backend.sensors import Senses
+from slamcli.simulation import floors, photograph
+from slamcli.simulation.config import CameraOptions, DisturbanceOptions, SimulationOptions
+from slamcli.simulation.drive import geodetic_from_local
 from slamcli.stages import posegraph
 from slamcli.stages.geodesy import LocalPlane
-from slamcli.stages.simulate import floors, photograph
-from slamcli.stages.simulate.drive import geodetic_from_local
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -12,12 +12,12 @@ import pytest
 from click.testing import CliRunner
 
 import slamcli
-from slamcli.cli import main
+from slamcli.cli.main import main
 from slamcli.core.geometry import Pose2
-from slamcli.core.simulation import CameraOptions, DisturbanceOptions
 from slamcli.io.files import write_image
-from slamcli.io.maps import load_map, save_map
-from slamcli.stages.simulate import floors, photograph
+from slamcli.io.map_file import load_map, save_map
+from slamcli.simulation import floors, photograph
+from slamcli.simulation.config import CameraOptions, DisturbanceOptions
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,12 +13,12 @@ import pytest
 import slamcli
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame
-from slamcli.core.simulation import CameraOptions, DisturbanceOptions
-from slamcli.graph import Graph
-from slamcli.keyframes import Expander, compress
-from slamcli.loops import Loops
+from slamcli.mapping.backend.backend import Graph
+from slamcli.mapping.keyframes import Expander, compress
+from slamcli.mapping.loop_closure import Loops
+from slamcli.simulation import floors, photograph
+from slamcli.simulation.config import CameraOptions, DisturbanceOptions
 from slamcli.stages import covisibility, dense
-from slamcli.stages.simulate import floors, photograph
 
 CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
 LOOP_FRAMES = 26

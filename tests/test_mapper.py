@@ -9,9 +9,9 @@ import pytest
 
 import slamcli
 from slamcli.core.geometry import Pose2
-from slamcli.core.simulation import CameraOptions, DisturbanceOptions
+from slamcli.simulation import floors, photograph
+from slamcli.simulation.config import CameraOptions, DisturbanceOptions
 from slamcli.stages import covisibility
-from slamcli.stages.simulate import floors, photograph
 
 CAMERA = CameraOptions(size=(400, 300), height_metres=0.2, pitch_degrees=45.0)
 

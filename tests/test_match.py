@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from slamcli.cli import main
+from slamcli.cli.main import main
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import View
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import write_image
-from slamcli.stages import confirm
+from slamcli.stages import local_correlation
 
 SCALE, DEGREES = 0.8, 25.0
 
@@ -98,7 +98,9 @@ def test_strangers_are_told_apart_in_one_line(pictures, tmp_path):
 
 def test_a_fit_that_the_pixels_contradict_is_not_believed(pictures, monkeypatch):
     for correlation, words in ((0.1, "do not look alike"), (math.nan, "too little to confirm")):
-        monkeypatch.setattr(confirm, "local_correlation", lambda *_, value=correlation: value)
+        monkeypatch.setattr(
+            local_correlation, "local_correlation", lambda *_, value=correlation: value
+        )
         result = run(pictures / "first picture.png", pictures / "second.png", "--features", "orb")
         assert result.exit_code == 1
         assert words in result.stdout
@@ -113,11 +115,13 @@ def test_windows_agree_only_under_the_true_motion():
     image = (second.image * 0.7).astype(np.uint8)
     image[:, 300:] = 255
     second = View(second.grid, image, second.mask)
-    assert confirm.local_correlation(first, second, motion.matrix) > 0.9
-    assert abs(confirm.local_correlation(first, second, (motion @ Pose2(12.0)).matrix)) < 0.3
+    assert local_correlation.local_correlation(first, second, motion.matrix) > 0.9
+    assert (
+        abs(local_correlation.local_correlation(first, second, (motion @ Pose2(12.0)).matrix)) < 0.3
+    )
     flat = View(second.grid, np.full_like(image, 100), second.mask)
-    assert math.isnan(confirm.local_correlation(first, flat, motion.matrix))
-    assert math.isnan(confirm.local_correlation(first, second, Pose2(5000.0).matrix))
+    assert math.isnan(local_correlation.local_correlation(first, flat, motion.matrix))
+    assert math.isnan(local_correlation.local_correlation(first, second, Pose2(5000.0).matrix))
 
 
 def test_calibrated_pictures_in_metres(tmp_path):

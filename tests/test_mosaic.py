@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from floor_pictures import asphalt, forward_camera, photograph
 
+from slamcli.core.camera import projection
 from slamcli.core.config import PaintOptions
 from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.core.records import Frame, Shot
-from slamcli.painter import Painter
-from slamcli.stages import camera
-from slamcli.stages.mosaic import agreement, blend, exposure, obstacles, sampling, tiles
+from slamcli.stages.mosaic import blend, exposure, obstacles, sampling, tiles, view_consistency
+from slamcli.stages.mosaic.painter import Painter
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -122,7 +122,7 @@ def solved(frames: list[Frame], calibration: Calibration) -> Exposure:
 
 
 def observed(frames: list[Frame], calibration: Calibration) -> list[exposure.Shared]:
-    hull, step = camera.footprint_hull(calibration), exposure.comparison_step(calibration)
+    hull, step = projection.footprint_hull(calibration), exposure.comparison_step(calibration)
     return [
         exposure.observe(
             cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY), calibration, hull, pose, step
@@ -178,7 +178,7 @@ def test_what_passes_through_some_views_is_kept_out_and_shown_apart() -> None:
     calibration = forward_camera()
     place = np.array([[0.72, 0.18], [0.84, 0.18], [0.84, 0.3], [0.72, 0.3]])
     for number in (6, 7):
-        pixels, _ = camera.project_floor(calibration, POSES[number].inverse().apply(place))
+        pixels, _ = projection.project_floor(calibration, POSES[number].inverse().apply(place))
         spoilt = frames[number].image.copy()
         cv2.fillConvexPoly(spoilt, np.rint(pixels).astype(np.int32), (20, 20, 220))
         frames[number] = replace(frames[number], image=spoilt)
@@ -200,7 +200,7 @@ def test_a_thing_is_followed_to_where_only_two_views_see_the_floor() -> None:
     weights[1:3, 10:] = 0.0
     cells[0, 4:16, 6:13] = 20
     weights[0] = 2.0
-    shows = agreement.agreeing(cells, weights)
+    shows = view_consistency.agreeing(cells, weights)
     assert not shows[0, 5:15, 6:13].any()
     assert shows[3].all()
     assert shows[0, :, :4].all()
@@ -222,7 +222,7 @@ def test_a_thing_ends_where_floor_goes_on(sharpness: list[float]) -> None:
     cells[1, 12:26, 14:30] = (60, 90, 70)
     weights = np.full((len(sharpness), 40, 40), 1.0, np.float32)
     weights *= np.array(sharpness, np.float32)[:, None, None]
-    shows = agreement.agreeing(cells, weights, 2)
+    shows = view_consistency.agreeing(cells, weights, 2)
     assert not shows[1, 12:26, 14:30].any()
     assert shows[0].all()
     assert shows[1, :8].all()
@@ -236,7 +236,7 @@ def test_a_thing_at_a_views_border_is_found_however_narrow_its_part() -> None:
     weights[1] = 3.0
     # The first sees two columns of it, which elsewhere would pass for a displaced edge.
     weights[0, :, 16:] = 0.0
-    shows = agreement.agreeing(cells, weights, 2)
+    shows = view_consistency.agreeing(cells, weights, 2)
     assert not shows[1, 12:26, 14:30].any()
     assert shows[0, :, :16].all()
     assert shows[2].all()
@@ -244,13 +244,13 @@ def test_a_thing_at_a_views_border_is_found_however_narrow_its_part() -> None:
 
 def test_two_views_that_differ_everywhere_decide_nothing() -> None:
     cells = np.stack([np.full((8, 8, 3), 50, np.uint8), np.full((8, 8, 3), 200, np.uint8)])
-    assert agreement.agreeing(cells, np.ones((2, 8, 8), np.float32)).all()
+    assert view_consistency.agreeing(cells, np.ones((2, 8, 8), np.float32)).all()
 
 
 def test_each_frame_may_have_a_tilt_of_its_own() -> None:
     tilted = replace(
         forward_camera(),
-        robot_from_image=camera.compose_robot_from_image(
+        robot_from_image=projection.compose_robot_from_image(
             forward_camera().camera_matrix, 0.3, math.radians(46.0), 0.0
         ),
     )
@@ -267,7 +267,7 @@ def test_a_lens_is_read_through_where_each_point_lies() -> None:
     bent = replace(forward_camera(), distortion=np.array([-0.25, 0.06, 0.001, -0.001, 0.0]))
     straight = forward_camera()
     columns, rows = np.meshgrid(np.arange(640.0), np.arange(480.0))
-    places = camera.undistort_points(bent, np.column_stack([columns.ravel(), rows.ravel()]))
+    places = projection.undistort_points(bent, np.column_stack([columns.ravel(), rows.ravel()]))
     xy = places.astype(np.float32).reshape(480, 640, 2)
     smooth = cv2.GaussianBlur(FLOOR, (0, 0), 4.0)
     seen = photograph(smooth, FLOOR_GRID, straight, POSES[0])
@@ -275,7 +275,7 @@ def test_a_lens_is_read_through_where_each_point_lies() -> None:
     grid = Grid(0.4, 0.2, SCALE, 200, 200)
     read = []
     for calibration, pixels in ((bent, image), (straight, seen)):
-        usable = sampling.border_fade(camera.sharpness_image(calibration))
+        usable = sampling.border_fade(projection.sharpness_image(calibration))
         made = sampling.make_picture(pixels, usable, None, 1)
         read.append(sampling.sample(made, calibration, POSES[0], grid))
     both = (read[0].weight > 0) & (read[1].weight > 0)
@@ -291,7 +291,7 @@ def test_a_coarse_map_lies_where_the_floor_does(scale: float) -> None:
     smooth = cv2.GaussianBlur(FLOOR, (0, 0), 8.0)
     picture = photograph(smooth, FLOOR_GRID, calibration, POSES[0])
     half = cv2.resize(picture, (320, 240), interpolation=cv2.INTER_AREA)
-    usable = sampling.border_fade(camera.sharpness_image(calibration))
+    usable = sampling.border_fade(projection.sharpness_image(calibration))
     grid = Grid(0.2, 0.2, scale, round(0.4 / scale), round(0.4 / scale))
     whole, halved = (
         sampling.sample(
@@ -350,7 +350,7 @@ def test_weight_grows_with_sharpness_and_fades_at_the_border() -> None:
     grid = painter.extent([Pose2()])
     near, far = (grid.pixel_from_metres @ (x, 0.0, 1.0) for x in (0.3, 0.6))
     weights = [look.weight[round(p[1]), round(p[0])] for p in (near, far)]
-    sampled = camera.floor_sampling(calibration, [(0.3, 0.0), (0.6, 0.0)])
+    sampled = projection.floor_sampling(calibration, [(0.3, 0.0), (0.6, 0.0)])
     np.testing.assert_allclose(weights, 1.0 / np.sqrt(sampled.prod(axis=1)), rtol=0.01)
 
 

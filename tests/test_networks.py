@@ -15,7 +15,7 @@ import pytest
 import tiny_networks
 from click.testing import CliRunner
 
-from slamcli.cli import main
+from slamcli.cli.main import main
 from slamcli.core.config import FeatureOptions, MatchOptions
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2

@@ -9,7 +9,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from slamcli import cli
+from slamcli.cli.main import main
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -72,7 +72,7 @@ def other_value(option: click.Option) -> list[str]:
 def cases() -> list[tuple[str, str]]:
     return [
         (command, parameter.name)
-        for command, told in cli.main.commands.items()
+        for command, told in main.commands.items()
         for parameter in told.params
         if isinstance(parameter, click.Option)
         and parameter.name not in APART
@@ -99,9 +99,9 @@ def test_every_option_tells_the_work_something(
     (tmp_path / "frames").mkdir()
     for file in "abc":
         (tmp_path / "frames" / f"{file}.png").write_bytes(b"")
-    option = next(p for p in cli.main.commands[command].params if p.name == name)
+    option = next(p for p in main.commands[command].params if p.name == name)
     assert isinstance(option, click.Option)
     for more in ([], other_value(option)):
-        result = CliRunner().invoke(cli.main, [command, *ARGUMENTS[command], *more])
+        result = CliRunner().invoke(main, [command, *ARGUMENTS[command], *more])
         assert isinstance(result.exception, ReachedError), (more, result.output, result.exception)
     assert calls[0] != calls[1], f"slam {command} {option.opts[0]} changes nothing"

@@ -11,8 +11,8 @@ import pytest
 
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Features
-from slamcli.stages import places
-from slamcli.stages.places import PlaceIndex
+from slamcli.stages import place_index
+from slamcli.stages.place_index import PlaceIndex
 
 SIDE = 1.0
 
@@ -106,7 +106,7 @@ def test_a_look_up_reads_no_more_of_a_large_map_than_of_a_small_one() -> None:
     for number in range(50):
         index.add(number, same)
     query, _, _ = index._look_up(np.zeros((1, 4), np.uint64))
-    assert len(query) <= places._MOST_READ * places._TABLES < 200
+    assert len(query) <= place_index._MOST_READ * place_index._TABLES < 200
 
 
 def test_recalling_is_the_same_each_time() -> None:

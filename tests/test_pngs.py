@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from slamcli.io import pngs
+from slamcli.io.raster import png
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -22,7 +22,7 @@ def test_a_picture_in_strips_is_read_back(tmp_path: Path, cuts: list[int]) -> No
     pixels[20:60] = 0
     parts = np.split(pixels, cuts)
     path = tmp_path / "a.png"
-    pngs.write_png(path, 131, 97, (pngs.compress(part) for part in parts))
+    png.write_png(path, 131, 97, (png.compress(part) for part in parts))
     assert np.array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), pixels)
     chunks, place, data = b"", 8, path.read_bytes()
     while place < len(data):

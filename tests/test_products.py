@@ -18,14 +18,14 @@ import pytest
 import yaml
 from click.testing import CliRunner, Result
 
-from slamcli.cli import main
+from slamcli.cli.main import main
 from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.core.records import Tile
-from slamcli.io import deepzoom, geotiff, rasters
 from slamcli.io.checkpoints import Checkpoint, run_key
 from slamcli.io.frames import list_frames, read_frame
-from slamcli.io.tilestore import TileStore
-from slamcli.run import glimpses, pictures
+from slamcli.io.raster import deepzoom, geotiff, world_file
+from slamcli.io.raster.tile_store import TileStore
+from slamcli.run.paint import frame_cache, thumbnails
 from slamcli.stages.mosaic.sampling import Picture
 
 rasterio = pytest.importorskip("rasterio")
@@ -244,25 +244,25 @@ def test_pictures_get_what_the_process_leaves_of_the_memory(
     for megabytes in (0, 60, 190):
         pages = tmp_path / f"{megabytes}"
         pages.write_text(f"9 {megabytes * 1_000_000 // os.sysconf('SC_PAGE_SIZE')} 9")
-        monkeypatch.setattr(pictures, "_RESIDENT", pages)
-        held[megabytes] = pictures.most_pictures(1_000_000, 200_000_000, 20_000_000, 2)
+        monkeypatch.setattr(frame_cache, "_RESIDENT", pages)
+        held[megabytes] = frame_cache.most_pictures(1_000_000, 200_000_000, 20_000_000, 2)
     assert held[0] == 180
     assert held[60] == pytest.approx(120, abs=1)
     assert 0 < held[190] < 10
-    monkeypatch.setattr(pictures, "_RESIDENT", tmp_path / "nowhere")
-    assert pictures.most_pictures(1_000_000, 200_000_000, 20_000_000, 2) == 180
+    monkeypatch.setattr(frame_cache, "_RESIDENT", tmp_path / "nowhere")
+    assert frame_cache.most_pictures(1_000_000, 200_000_000, 20_000_000, 2) == 180
 
 
 def test_a_picture_leaves_memory_with_the_last_tile_that_needs_it() -> None:
     needed = [[0, 1, 2], [2, 3], [1, 3, 4]]
-    assert pictures.most_at_once(needed) == 3
+    assert frame_cache.most_at_once(needed) == 3
     made: list[int] = []
 
     def make(number: int) -> Picture:
         made.append(number)
         return Picture((), 0, np.zeros((1, 1), np.uint8), 1.0, None)
 
-    kept = pictures.Pictures(make, 9, {0: 1, 1: 2, 2: 2, 3: 2, 4: 1})
+    kept = frame_cache.Pictures(make, 9, {0: 1, 1: 2, 2: 2, 3: 2, 4: 1})
     for numbers in needed:
         for number in numbers:
             kept(number)
@@ -280,14 +280,14 @@ def test_a_glimpse_that_was_kept_is_what_reading_the_frame_again_gives(
         noise = np.random.default_rng(index).integers(0, 256, (50, 70, 3), np.uint8)
         cv2.imwrite(str(tmp_path / f"{index}.jpg"), noise)
     files = list_frames([tmp_path])
-    kept = glimpses.Glimpses()
-    small = glimpses.read_glimpse(files[0])
+    kept = thumbnails.Glimpses()
+    small = thumbnails.read_glimpse(files[0])
     assert small.shape == (13, 18)
-    monkeypatch.setattr(glimpses, "_MOST_BYTES", 2 * small.nbytes)
+    monkeypatch.setattr(thumbnails, "_MOST_BYTES", 2 * small.nbytes)
     for file in files:
         kept.keep(read_frame(file, gray=True))
     for file in files[:2]:
-        np.testing.assert_array_equal(kept.take(file), glimpses.read_glimpse(file))
+        np.testing.assert_array_equal(kept.take(file), thumbnails.read_glimpse(file))
         assert kept.take(file) is None
     assert kept.take(files[2]) is None
     kept.keep(read_frame(files[2], gray=True))
@@ -411,7 +411,7 @@ def test_a_store_takes_only_what_was_seen_and_finds_it_again(tmp_path: Path) -> 
 
 def test_a_turned_world_file_maps_pixels_into_the_map(tmp_path: Path) -> None:
     grid, turn = Grid(1.0, 2.0, 0.5, 4, 4), Pose2(0.0, 0.0, np.pi / 2)
-    rasters.write_world_file(tmp_path / "m.pgw", grid, turn)
+    world_file.write_world_file(tmp_path / "m.pgw", grid, turn)
     a, d, b, e, c, f = np.loadtxt(tmp_path / "m.pgw")
     np.testing.assert_allclose((a * 2 + b * 1 + c, d * 2 + e * 1 + f), (-1.25, 2.25), atol=1e-9)
 

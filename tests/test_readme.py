@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import pytest
 
-from slamcli.cli import main
+from slamcli.cli.main import main
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENTS = ("README.md", "samples/README.md", "calibration/README.md")

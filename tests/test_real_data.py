@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 from trajectories import read_poses, read_rows
 
-from slamcli.cli import main
+from slamcli.cli.main import main
 from slamcli.io.calibrations import load_calibration
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, Prepared
-from slamcli.graph import Graph
+from slamcli.mapping.backend.backend import Graph
 from slamcli.stages import posegraph
 
 if TYPE_CHECKING:

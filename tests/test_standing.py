@@ -13,14 +13,14 @@ import pytest
 from click.testing import CliRunner
 
 import slamcli
-from slamcli.cli import main
+from slamcli.cli.main import main
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame
-from slamcli.core.simulation import CameraOptions, DisturbanceOptions
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import write_image
+from slamcli.simulation import floors, photograph
+from slamcli.simulation.config import CameraOptions, DisturbanceOptions
 from slamcli.stages import dense, view
-from slamcli.stages.simulate import floors, photograph
 
 CALIBRATION = photograph.make_camera(CameraOptions(size=(320, 240)))
 MAPPER = slamcli.Mapper(CALIBRATION)

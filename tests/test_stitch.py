@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 from PIL import Image
 from trajectories import compare, read_poses, read_rows
 
-from slamcli.cli import main
+from slamcli.cli.main import main
 from slamcli.core.geometry import Grid, apply_homography
 
 if TYPE_CHECKING:

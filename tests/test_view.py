@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from slamcli.core.camera import projection
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.core.records import Calibration, Frame, View
-from slamcli.core.simulation import CameraOptions
-from slamcli.stages import camera, view
-from slamcli.stages.simulate import photograph
+from slamcli.simulation import photograph
+from slamcli.simulation.config import CameraOptions
+from slamcli.stages import view
 
 
 def calibration_of(pitch_degrees: float = 40.0) -> Calibration:
@@ -21,7 +22,7 @@ def calibration_of(pitch_degrees: float = 40.0) -> Calibration:
         distortion=np.array([-0.15, 0.03, 0.0, 0.0, 0.0]),
         distortion_model="plumb_bob",
         image_size=(640, 480),
-        robot_from_image=camera.compose_robot_from_image(matrix, 0.4, pitch, 0.0),
+        robot_from_image=projection.compose_robot_from_image(matrix, 0.4, pitch, 0.0),
         height_metres=0.4,
         pitch_radians=pitch,
         roll_radians=0.0,
@@ -34,7 +35,7 @@ def picture_of(calibration: Calibration, wavelength_metres: float) -> Frame:
     columns, rows = np.meshgrid(np.arange(640.0), np.arange(480.0))
     pixels = np.column_stack([columns.ravel(), rows.ravel()])
     floor = apply_homography(
-        calibration.robot_from_image, camera.undistort_points(calibration, pixels)
+        calibration.robot_from_image, projection.undistort_points(calibration, pixels)
     )
     gray = brightness(floor, wavelength_metres).reshape(480, 640)
     return Frame(0, "waves", None, np.round(gray).astype(np.uint8))
@@ -61,14 +62,16 @@ def test_a_large_picture_is_matched_at_fewer_pixels(
     size: tuple[int, int], megapixels: float
 ) -> None:
     calibration = photograph.make_camera(CameraOptions(size=size))
-    grid = camera.footprint(calibration, view.registration_metres_per_pixel(calibration))
+    grid = projection.footprint(calibration, view.registration_metres_per_pixel(calibration))
     assert grid.width * grid.height == pytest.approx(1e6 * megapixels, rel=0.02)
 
 
 def test_fine_texture_does_not_alias_where_the_raster_is_coarse() -> None:
     calibration = calibration_of(pitch_degrees=60.0)
-    grid = Grid.covering(camera.footprint_hull(calibration), 0.01)
-    resampler = view.make_resampler(calibration, camera.sharpness_image(calibration), grid, Pose2())
+    grid = Grid.covering(projection.footprint_hull(calibration), 0.01)
+    resampler = view.make_resampler(
+        calibration, projection.sharpness_image(calibration), grid, Pose2()
+    )
     seen = view.make_view(picture_of(calibration, 0.009), resampler, gray=True)
     near = seen.image[seen.mask > 0]
     assert near.std() < 15.0

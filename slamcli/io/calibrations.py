@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 import numpy as np
 import yaml
 
+from slamcli.core.camera.mounting import compose_robot_from_image
 from slamcli.core.errors import CalibrationError, InputError
 from slamcli.core.geometry import apply_homography
-from slamcli.core.mounting import compose_robot_from_image
 from slamcli.core.records import Calibration, DistortionModel, Intrinsics
 from slamcli.io.files import read_text, write_text
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamcli.core.records import Status
-    from slamcli.io.tables import Scalar
+    from slamcli.io.toml import Scalar
 
 _NUMBERS = (
     "height_metres",

@@ -15,7 +15,7 @@ import numpy as np
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2
 from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
-from slamcli.io.columns import HEADINGS, STAMPS, parse_table
+from slamcli.io.csv_table import HEADINGS, STAMPS, parse_table
 from slamcli.io.files import read_text, write_text
 from slamcli.io.trajectories import read_trajectory
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from slamcli.io.columns import Table
+    from slamcli.io.csv_table import Table
 
 # Clockwise from north, as a hand-held compass reads.
 _BEARINGS = ("bearing", "azimuth")

@@ -10,7 +10,7 @@ import numpy as np
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2
 from slamcli.core.trajectory import Trajectory
-from slamcli.io.columns import HEADINGS, STAMPS, parse_table
+from slamcli.io.csv_table import HEADINGS, STAMPS, parse_table
 from slamcli.io.files import read_text, write_text
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from slamcli.io.columns import Table
+    from slamcli.io.csv_table import Table
 
 _TUM_FIELDS, _KITTI_FIELDS = 8, 12
 _X, _Y = ("x", "px", "tx"), ("y", "py", "ty")

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slamcli.core.errors import FrameError, InputError
+from slamcli.drawing.keypoints import draw_keypoints
 from slamcli.io.files import output_folder, write_image
 from slamcli.io.frames import read_frame
 from slamcli.io.keypoints import write_keypoints
-from slamcli.run.executor import ordered
 from slamcli.run.inputs import open_inputs
+from slamcli.run.match.fitting import plain_picture
 from slamcli.run.networks import with_point_network
-from slamcli.run.pairs import plain_picture
+from slamcli.run.session.executor import ordered
 from slamcli.stages import features, view
-from slamcli.stages.draw.keypoints import draw_keypoints
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from slamcli.core.config import FeatureOptions
     from slamcli.core.records import Calibration, Features, Keypoints, View
     from slamcli.io.frames import FrameFile
-    from slamcli.run.executor import Progress
     from slamcli.run.inputs import Inputs
     from slamcli.run.networks import NetworkFiles
+    from slamcli.run.session.executor import Progress
     from slamcli.stages.view import Resampler
 
 TABLE = "features.csv"

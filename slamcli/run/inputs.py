@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from slamcli.core.camera.projection import top_down_calibration
 from slamcli.core.errors import CalibrationError, FrameError, InputError
 from slamcli.io.calibrations import load_calibration
 from slamcli.io.frames import FrameFile, list_frames, read_frame
-from slamcli.stages.camera import top_down_calibration
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

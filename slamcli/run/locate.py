@@ -13,18 +13,18 @@ import numpy as np
 from slamcli.core.geometry import covariance_in_map
 from slamcli.io.files import refuse_existing
 from slamcli.io.frames import list_frames
-from slamcli.io.maps import load_map
+from slamcli.io.map_file import load_map
 from slamcli.io.poses import write_poses
-from slamcli.locate import Locator
-from slamcli.run.executor import ordered
-from slamcli.run.registration import read_and_prepare
+from slamcli.mapping.localizer import Locator
+from slamcli.run.session.executor import ordered
+from slamcli.run.stitch.frame_loop import read_and_prepare
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from slamcli.core.records import PoseEstimate
-    from slamcli.run.executor import Progress
+    from slamcli.run.session.executor import Progress
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,9 +10,9 @@ from slamcli.core.errors import InputError
 from slamcli.io.files import output_folder, remove_folder
 from slamcli.io.frames import list_frames
 from slamcli.io.runs import read_run
-from slamcli.run import products
-from slamcli.run.interruption import interruptible
-from slamcli.run.painting import scenes_of
+from slamcli.run.paint import outputs
+from slamcli.run.paint.paint import scenes_of
+from slamcli.run.session.interruption import interruptible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from slamcli.core.config import ProductOptions
     from slamcli.core.records import PoseEstimate
     from slamcli.io.frames import FrameFile
-    from slamcli.run.executor import Progress
+    from slamcli.run.session.executor import Progress
 
 
 def render(
@@ -49,16 +49,16 @@ def render(
     InputError, OutputError
     """
     started = time.monotonic()
-    products.check_formats(options)
+    outputs.check_formats(options)
     run = read_run(run_folder)
     files = list_frames(run.sources if frames is None else [frames])
     where = partial(file_of, files, remedy="give their folder with --frames")
     scenes = scenes_of(run.calibration, run.estimates, where, options.turn_radians)
     with (
         interruptible() as interruption,
-        output_folder(output, products.PRODUCTS, overwrite=overwrite) as staging,
+        output_folder(output, outputs.PRODUCTS, overwrite=overwrite) as staging,
     ):
-        area = products.write_maps(
+        area = outputs.write_maps(
             scenes, options, {}, staging, staging / "tiles", workers, progress, tell, interruption
         )
         remove_folder(staging / "tiles")

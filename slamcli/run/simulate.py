@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.camera import projection
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Pose2
 from slamcli.io import telemetry
@@ -17,9 +18,8 @@ from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import output_folder, write_image
 from slamcli.io.frames import read_image
 from slamcli.io.trajectories import read_path
-from slamcli.run.executor import ordered
-from slamcli.stages import camera
-from slamcli.stages.simulate import drive, floors, photograph
+from slamcli.run.session.executor import ordered
+from slamcli.simulation import drive, floors, photograph
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
     from slamcli.core.geometry import Grid
     from slamcli.core.records import Calibration
-    from slamcli.core.simulation import SimulationOptions
-    from slamcli.run.executor import Progress
+    from slamcli.run.session.executor import Progress
+    from slamcli.simulation.config import SimulationOptions
 
 PRODUCTS = (
     "frames",
@@ -180,7 +180,7 @@ def _place_square(calibration: Calibration, side_metres: float) -> NDArray[np.fl
     margin = _SQUARE_MARGIN_PIXELS
     for distance in np.linspace(0.0, 40 * side_metres, 400):
         corners = Pose2(float(distance), 0.0, _SQUARE_YAW_RADIANS).apply(outline)
-        pixels, seen = camera.project_floor(calibration, corners)
+        pixels, seen = projection.project_floor(calibration, corners)
         low, high = pixels.min(axis=0), pixels.max(axis=0)
         if seen.all() and low.min() > margin and np.all(high < (width - margin, height - margin)):
             return corners

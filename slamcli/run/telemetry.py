@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import pose_array
 from slamcli.io.telemetry import read_compass, read_gps, read_odometry
+from slamcli.mapping.backend.pose_graph import placed_fragments
 from slamcli.stages.telemetry import estimate_time_offset
-from slamcli.track import placed_fragments
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
-    from slamcli.mapper import Mapper
+    from slamcli.mapping.mapper import Mapper
     from slamcli.run.inputs import Inputs
 
 

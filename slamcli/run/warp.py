@@ -7,20 +7,21 @@ from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from slamcli.core.camera import projection
 from slamcli.core.errors import FrameError, InputError
-from slamcli.io import rasters
 from slamcli.io.files import output_folder
 from slamcli.io.frames import read_frame
-from slamcli.run.executor import ordered
+from slamcli.io.raster import world_file
 from slamcli.run.inputs import open_inputs
-from slamcli.stages import camera, view
+from slamcli.run.session.executor import ordered
+from slamcli.stages import view
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamcli.core.records import Calibration
     from slamcli.io.frames import FrameFile
-    from slamcli.run.executor import Progress
+    from slamcli.run.session.executor import Progress
     from slamcli.stages.view import Resampler
 
 
@@ -46,7 +47,7 @@ def warp(
     names = [Path(file.name).stem for file in inputs.files]
     if len(set(names)) < len(names):
         raise InputError("two frames have the same name; warp their folders one at a time")
-    scale = metres_per_pixel or camera.default_metres_per_pixel(inputs.calibration)
+    scale = metres_per_pixel or projection.default_metres_per_pixel(inputs.calibration)
     resampler = view.make_view_resampler(inputs.calibration, scale)
     grid = resampler.grid
     products = tuple(f"{escape(name)}{suffix}" for name in names for suffix in (".png", ".pgw"))
@@ -81,5 +82,5 @@ def _warp_frame(
         return f"{file.name}: {error}"
     seen = view.make_view(frame, resampler, gray=False)
     path = staging / f"{Path(file.name).stem}.png"
-    rasters.write_georeferenced_png(path, view.to_colour(seen.image), seen.mask, seen.grid)
+    world_file.write_georeferenced_png(path, view.to_colour(seen.image), seen.mask, seen.grid)
     return ""

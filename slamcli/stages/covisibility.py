@@ -9,8 +9,8 @@ import numpy as np
 from scipy.sparse import csgraph, csr_array
 from scipy.spatial import ConvexHull, KDTree
 
+from slamcli.core.camera import projection
 from slamcli.core.geometry import compose_poses, relative_poses
-from slamcli.stages import camera
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,7 +32,7 @@ class Footprint:
     """
 
     def __init__(self, calibration: Calibration) -> None:
-        hull = ConvexHull(camera.footprint_hull(calibration))
+        hull = ConvexHull(projection.footprint_hull(calibration))
         # Inside is where normal . point + offset <= 0 for every edge.
         self._normals, self._offsets = hull.equations[:, :2], hull.equations[:, 2]
         corners = hull.points[hull.vertices]

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from slamcli.core.camera import projection
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import View
-from slamcli.stages import camera
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -76,8 +76,8 @@ class Band:
 
 def registration_metres_per_pixel(calibration: Calibration) -> float:
     """Return the resolution of the views that are matched: the default, coarser if that is vast."""
-    finest = camera.default_metres_per_pixel(calibration)
-    grid = camera.footprint(calibration, finest)
+    finest = projection.default_metres_per_pixel(calibration)
+    grid = projection.footprint(calibration, finest)
     many = math.prod(calibration.image_size) >= _MANY_TO_ONE * _FEWER_PIXELS
     most = _FEWER_PIXELS if many else _REGISTRATION_PIXELS
     shrink = math.sqrt(grid.width * grid.height / most)
@@ -100,7 +100,7 @@ def make_resampler(
     sharpness : (H, W) float32
         From `camera.sharpness_image`, or weights of the same zeros.
     """
-    mapping = camera.sampling_map(calibration, sharpness, grid, robot_from_grid)
+    mapping = projection.sampling_map(calibration, sharpness, grid, robot_from_grid)
     seen = mapping.sharpness > 0
     coarser = float(mapping.sharpness.max(initial=0.0)) * grid.metres_per_pixel
     deepest = min(_DEEPEST_LEVEL, int(math.log2(max(coarser, 1.0))))
@@ -122,7 +122,7 @@ def make_resampler(
 
 
 def _maps(
-    mapping: camera.SamplingMap,
+    mapping: projection.SamplingMap,
     part: tuple[slice, slice],
     inside: NDArray[np.bool_],
     image_size: tuple[int, int],
@@ -143,8 +143,8 @@ def _maps(
 
 def make_view_resampler(calibration: Calibration, metres_per_pixel: float) -> Resampler:
     """Prepare the camera's own bird's-eye view, in the robot frame."""
-    grid = camera.footprint(calibration, metres_per_pixel)
-    return make_resampler(calibration, camera.sharpness_image(calibration), grid, Pose2())
+    grid = projection.footprint(calibration, metres_per_pixel)
+    return make_resampler(calibration, projection.sharpness_image(calibration), grid, Pose2())
 
 
 def make_far_resampler(calibration: Calibration, metres_per_pixel: float) -> Resampler | None:
@@ -153,8 +153,8 @@ def make_far_resampler(calibration: Calibration, metres_per_pixel: float) -> Res
     None where the camera sees little more floor there.
     """
     far = replace(calibration, max_range_metres=_FAR_TIMES * calibration.max_range_metres)
-    near_area = ConvexHull(camera.footprint_hull(calibration)).volume
-    if ConvexHull(camera.footprint_hull(far)).volume < _LEAST_FAR_GAIN * near_area:
+    near_area = ConvexHull(projection.footprint_hull(calibration)).volume
+    if ConvexHull(projection.footprint_hull(far)).volume < _LEAST_FAR_GAIN * near_area:
         return None
     return make_view_resampler(far, _FAR_COARSER * metres_per_pixel)
 

@@ -4,7 +4,7 @@
 explain them, `projection` carries pixels from frame to frame for both.
 """
 
-from slamcli.stages.adjustment.patches import (
+from slamcli.stages.adjustment.patch_tracking import (
     DEEPEST_LEVEL,
     Matches,
     Pyramid,

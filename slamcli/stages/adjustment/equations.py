@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from slamcli.core.records import Calibration
-    from slamcli.stages.adjustment.patches import Matches
+    from slamcli.stages.adjustment.patch_tracking import Matches
 
 # Geman and McClure's scale in sigmas; see stages.align.rigid.
 _KERNEL_SIGMAS = 3.0

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from slamcli.core.camera import projection
 from slamcli.core.geometry import apply_homography, invert
-from slamcli.stages import camera
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -82,7 +82,7 @@ def changed(calibration: Calibration, change: NDArray[np.float64]) -> Calibratio
         distortion=distortion,
         pitch_radians=pitch,
         roll_radians=roll,
-        robot_from_image=camera.compose_robot_from_image(
+        robot_from_image=projection.compose_robot_from_image(
             matrix, calibration.height_metres, pitch, roll
         ),
     )
@@ -100,7 +100,7 @@ def transfer_with_jacobians(
 ) -> Transfer:
     """Return where b sees the floor that a sees at (N, 2) pixels, and its derivatives."""
     count = len(pixels_a)
-    undistorted = camera.undistort_points(calibration, pixels_a)
+    undistorted = projection.undistort_points(calibration, pixels_a)
     rays = apply_homography(invert(calibration.camera_matrix), undistorted)
     seen_a = _lens(calibration, rays)
     # The lens read backwards: what changes the pixel changes the ray the other way.
@@ -195,7 +195,7 @@ def _mounting(calibration: Calibration, rocking: Rocking) -> tuple[float, float,
 
 def _to_floor(calibration: Calibration, rocking: Rocking, rays: NDArray[np.float64]) -> _Floor:
     pitch, roll, height = _mounting(calibration, rocking)
-    rotation = camera.robot_from_camera_rotation(pitch, roll)
+    rotation = projection.robot_from_camera_rotation(pitch, roll)
     ahead = np.column_stack([rays, np.ones(len(rays))])
     x, y, z = rotation @ ahead.T
     seen = z < 0.0
@@ -227,7 +227,7 @@ def _by_rotation(pitch: float, directions: NDArray[np.float64]) -> NDArray[np.fl
 
 def _to_ray(calibration: Calibration, rocking: Rocking, points: NDArray[np.float64]) -> _Back:
     pitch, roll, height = _mounting(calibration, rocking)
-    rotation = camera.robot_from_camera_rotation(pitch, roll)
+    rotation = projection.robot_from_camera_rotation(pitch, roll)
     directions = np.column_stack([points, np.full(len(points), -height)])
     optical = directions @ rotation
     seen = optical[:, 2] > 0.0

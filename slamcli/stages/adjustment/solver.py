@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
     from slamcli.core.records import Calibration
     from slamcli.stages.adjustment.equations import Block
-    from slamcli.stages.adjustment.patches import Matches
+    from slamcli.stages.adjustment.patch_tracking import Matches
 
 _MOST_ITERATIONS = 40
 _MOST_RETRIES = 6

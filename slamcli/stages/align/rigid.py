@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.camera import projection
 from slamcli.core.geometry import Pose2
-from slamcli.stages import camera
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -100,7 +100,7 @@ def fit_rigid(
 def _covariances(points: NDArray[np.float64], sigmas: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return (3, M) covariances xx, xy and yy in the robot frame, of sigmas in sight and across."""
     (sight_x, sight_y), (across_x, across_y) = (
-        axis.T for axis in camera.line_of_sight_axes(points)
+        axis.T for axis in projection.line_of_sight_axes(points)
     )
     along, across = sigmas.T**2
     return np.stack(

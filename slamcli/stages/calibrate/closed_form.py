@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.camera import projection
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import apply_homography, invert
-from slamcli.stages import camera
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -143,7 +143,7 @@ def squareness(
     """
     homography = fit_homography(square_target(1.0), corners)
     if intrinsics is None:
-        column, row = camera.image_centre(image_size)
+        column, row = projection.image_centre(image_size)
         low, high = FOCAL_RANGE_WIDTHS
         centring = np.array([[1.0, 0.0, -column], [0.0, 1.0, -row], [0.0, 0.0, 1.0]])
         closed_form = focal_from_homography(centring @ homography, float(image_size[0]))

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.camera import projection
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import Pose2, apply_homography, invert
 from slamcli.core.records import Calibration, Intrinsics
-from slamcli.stages import camera
 from slamcli.stages.calibrate.closed_form import (
     fit_homography,
     floor_axes,
@@ -93,7 +93,7 @@ def solve_mounting(points: FloorPoints, image_size: tuple[int, int]) -> Mounting
         When the points do not tell the focal length, or no camera above the floor sees them so.
     """
     width = float(image_size[0])
-    centre = camera.image_centre(image_size)
+    centre = projection.image_centre(image_size)
     centring = np.array([[1.0, 0.0, -centre[0]], [0.0, 1.0, -centre[1]], [0.0, 0.0, 1.0]])
     homography = centring @ fit_homography(points.target, points.pixels)
     closed_form = focal_from_homography(homography, width)
@@ -138,12 +138,12 @@ def make_calibration(
         When nothing of the floor is within the far limit.
     """
     if intrinsics is None:
-        column, row = camera.image_centre(image_size)
+        column, row = projection.image_centre(image_size)
         focal = mounting.focal_pixels
         matrix = np.array([[focal, 0.0, column], [0.0, focal, row], [0.0, 0.0, 1.0]])
         intrinsics = Intrinsics(matrix, np.zeros(5), "plumb_bob", image_size)
     matrix = intrinsics.camera_matrix
-    image_from_robot = camera.image_from_robot_homography(
+    image_from_robot = projection.image_from_robot_homography(
         matrix, mounting.height_metres, mounting.pitch_radians, mounting.roll_radians
     )
     calibration = Calibration(
@@ -156,7 +156,7 @@ def make_calibration(
         pitch_radians=mounting.pitch_radians,
         roll_radians=mounting.roll_radians,
         max_range_metres=(
-            camera.choose_max_range(matrix, image_from_robot, image_size)
+            projection.choose_max_range(matrix, image_from_robot, image_size)
             if max_range_metres is None
             else max_range_metres
         ),
@@ -165,7 +165,7 @@ def make_calibration(
         pitch_sigma_radians=float(mounting.sigmas[2]),
         roll_sigma_radians=float(mounting.sigmas[3]),
     )
-    camera.seen_floor(calibration)
+    projection.seen_floor(calibration)
     return calibration
 
 
@@ -227,7 +227,7 @@ def _project(
 ) -> NDArray[np.float64]:
     log_zoom, log_height, pitch, roll, x, y, yaw = (float(value) for value in values)
     zoomed = camera_matrix @ np.diag([math.exp(log_zoom), math.exp(log_zoom), 1.0])
-    homography = camera.image_from_robot_homography(zoomed, math.exp(log_height), pitch, roll)
+    homography = projection.image_from_robot_homography(zoomed, math.exp(log_height), pitch, roll)
     return apply_homography(homography, Pose2(x, y, yaw).apply(target))
 
 
@@ -240,7 +240,7 @@ def _start(points: FloorPoints, camera_matrix: NDArray[np.float64]) -> NDArray[n
     height = -float(origin @ up)
     if height <= 0:
         raise CalibrationError("no camera above the floor sees the corners like this")
-    image_from_robot = camera.image_from_robot_homography(camera_matrix, height, pitch, roll)
+    image_from_robot = projection.image_from_robot_homography(camera_matrix, height, pitch, roll)
     floor = apply_homography(invert(image_from_robot), points.pixels)
     # The least-squares rotation between two point sets (Umeyama, PAMI 1991), in the plane.
     target_centred = points.target - points.target.mean(axis=0)

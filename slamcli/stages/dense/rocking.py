@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.camera import projection
 from slamcli.core.geometry import apply_homography
-from slamcli.stages import camera
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,7 +33,7 @@ def shown_from_floor(
     """Return (3, 3): where a view made by the calibration shows the floor of a tilted frame."""
     if not np.any(mounting):
         return np.eye(3)
-    tilted = camera.image_from_robot_homography(
+    tilted = projection.image_from_robot_homography(
         calibration.camera_matrix,
         calibration.height_metres + float(mounting[2]),
         calibration.pitch_radians + float(mounting[0]),

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from slamcli.core.camera import projection
 from slamcli.core.geometry import apply_homography
 from slamcli.core.records import Features
-from slamcli.stages import camera
 from slamcli.stages.features.detectors import METHODS
 from slamcli.stages.features.selection import CLEARANCE_STEP, Picture
 
@@ -72,11 +72,11 @@ def to_features(
     that is coarser where it lies, times the scale of the pyramid level that it was found on.
     """
     points = apply_homography(view.grid.metres_from_pixel, keypoints.pixels)
-    pixel = np.maximum(camera.floor_sampling(calibration, points), view.grid.metres_per_pixel)
+    pixel = np.maximum(projection.floor_sampling(calibration, points), view.grid.metres_per_pixel)
     sigmas = pixel * keypoints.sigmas[:, None]
     if tilt_sigma_radians > 0.0:
         sigmas[:, 0] = np.hypot(
-            sigmas[:, 0], camera.range_sigma(calibration, points, tilt_sigma_radians)
+            sigmas[:, 0], projection.range_sigma(calibration, points, tilt_sigma_radians)
         )
     return Features(
         points.astype(np.float32),

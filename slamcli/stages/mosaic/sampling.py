@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, TypeVar
 import cv2
 import numpy as np
 
+from slamcli.core.camera import projection
 from slamcli.core.geometry import Grid, apply_homography
-from slamcli.stages import camera
 from slamcli.stages.mosaic import exposure
 
 if TYPE_CHECKING:
@@ -167,8 +167,8 @@ def may_be_halved(calibration: Calibration, metres_per_pixel: float) -> bool:
 
 def _pixels_a_metre(calibration: Calibration) -> tuple[float, float]:
     """Return how many of its pixels a picture spends on a metre of floor, at least and at most."""
-    floor = camera.seen_floor(calibration)
-    spacing = np.sqrt(camera.floor_sampling(calibration, floor).prod(axis=1))
+    floor = projection.seen_floor(calibration)
+    spacing = np.sqrt(projection.floor_sampling(calibration, floor).prod(axis=1))
     return 1.0 / float(spacing.max()), 1.0 / float(spacing.min())
 
 
@@ -365,14 +365,14 @@ def _lens_map(
     pixels = np.column_stack([columns.ravel(), rows.ravel()])
     undistorted = apply_homography(homography, pixels)
     depth = pixels @ homography[2, :2] + homography[2, 2]
-    low, high = camera.undistorted_bounds(calibration)
+    low, high = projection.undistorted_bounds(calibration)
     # Far outside the picture the lens polynomial folds back into it; near its border it does not.
     slack = 0.05 * (high - low)
     outside = (depth <= 0) | ~np.all(
         (undistorted >= low - slack) & (undistorted <= high + slack), axis=1
     )
     undistorted[outside] = low
-    places = camera.distort_points(calibration, undistorted)
+    places = projection.distort_points(calibration, undistorted)
     places[outside] = _OUT_OF_SIGHT
     lattice = places.reshape(down, across, 2).astype(np.float32)
     matrix = np.array([[1.0 / step, 0.0, 0.0], [0.0, 1.0 / step, 0.0]])

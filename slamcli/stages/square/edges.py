@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import map_coordinates, uniform_filter1d
 
-from slamcli.stages import camera
+from slamcli.core.camera import projection
 from slamcli.stages.square.candidates import intersect, is_convex, line_through, quad_area
 from slamcli.stages.square.lines import Side, fit_side, fit_side_robustly, ransac_weights
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from slamcli.stages.camera import Lens
+    from slamcli.core.camera.projection import Lens
 
 _PROFILE_STEP_PIXELS = 0.5
 _MOST_PROFILES = 400
@@ -156,8 +156,8 @@ def _read_profiles(
     steps = np.linspace(0.03, 0.97, count)
     points = start + (end - start) * steps[:, None]
     outward = np.array([end[1] - start[1], start[0] - end[0]]) / length
-    origins = camera.distort_points(lens, points)
-    normals = camera.distort_points(lens, points + outward) - origins
+    origins = projection.distort_points(lens, points)
+    normals = projection.distort_points(lens, points + outward) - origins
     normals = np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True), np.float64)
     samples = 2 * math.ceil(half_length / _PROFILE_STEP_PIXELS) + 1
     steps_across = np.arange(samples, dtype=np.float64) - samples // 2
@@ -222,7 +222,7 @@ def _coarse_side(
     if good.sum() < _LEAST_PROFILES // 2:
         return None
     edge = profiles.origins + profiles.normals * offsets[:, None]
-    points = camera.undistort_points(lens, edge)[good]
+    points = projection.undistort_points(lens, edge)[good]
     weights = ransac_weights(points)
     return fit_side(
         points, weights, len(profiles.usable), polarity * typical, float(image.shape[1])
@@ -259,7 +259,7 @@ def _fine_side(
     if near.sum() < _LEAST_PROFILES // 2:
         return None
     edge = (profiles.origins[good] + profiles.normals[good] * position[:, None])[near]
-    points = camera.undistort_points(lens, edge)
+    points = projection.undistort_points(lens, edge)
     return fit_side_robustly(
         points, int(profiles.usable.sum()), polarity * typical, float(image.shape[1])
     )

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from slamcli.core.camera import projection
 from slamcli.core.errors import CalibrationError
-from slamcli.stages import camera
 from slamcli.stages.square.candidates import find_candidates, quad_area, same_quad
 from slamcli.stages.square.edges import EdgedQuad, inner_radius, refine_quad
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from slamcli.stages.camera import Lens
+    from slamcli.core.camera.projection import Lens
 
     # Corners (4, 2) in undistorted pixels to how well they may be a square on the floor, in [0, 1].
     Judge = Callable[[NDArray[np.float64]], float]
@@ -103,14 +103,14 @@ def refine_square(image: NDArray[np.uint8], corners: NDArray[np.float64], lens: 
         When a side shows no edge there.
     """
     luminance = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
-    undistorted = camera.undistort_points(lens, corners)
+    undistorted = projection.undistort_points(lens, corners)
     quad = refine_quad(luminance, undistorted, lens, 4.0)
     if quad is None:
         raise CalibrationError(
             "the sides between the given corners show no edges to refine them by; "
             "check --corners, or leave out --refine to use them as they are"
         )
-    return Square(camera.distort_points(lens, quad.corners), quad, quad.support)
+    return Square(projection.distort_points(lens, quad.corners), quad, quad.support)
 
 
 def _squares_in(plane: NDArray[np.uint8], lens: Lens, judge: Judge) -> list[Square]:
@@ -124,13 +124,13 @@ def _squares_in(plane: NDArray[np.uint8], lens: Lens, judge: Judge) -> list[Squa
     exact = plane.astype(np.float32)
     found: list[Square] = []
     for quad, support in zip(_enlarge(quads, shrink), supports, strict=True):
-        undistorted = camera.undistort_points(lens, quad)
+        undistorted = projection.undistort_points(lens, quad)
         if support < _LEAST_SUPPORT or inner_radius(undistorted) < _LEAST_RADIUS_PIXELS:
             continue
         edged = refine_quad(exact, undistorted, lens, _REACH_PIXELS * shrink)
         if edged is None or edged.support < _LEAST_SUPPORT:
             continue
-        corners = camera.distort_points(lens, edged.corners)
+        corners = projection.distort_points(lens, edged.corners)
         if np.any(corners < 0) or np.any(corners > (width - 1, height - 1)):
             continue
         score = _score(edged, width * height, judge)

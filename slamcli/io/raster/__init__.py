@@ -1,0 +1,1 @@
+"""Maps as pictures on the disk: tiles, PNG, GeoTIFF, Deep Zoom, and where they lie."""

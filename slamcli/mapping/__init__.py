@@ -1,0 +1,1 @@
+"""SLAM: frames in, poses and a map out."""

@@ -1,0 +1,1 @@
+"""The back end: the pose graph, and what optimises it."""

@@ -1,0 +1,77 @@
+"""Where a single frame is in a finished map, or that it is not there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from slamcli.core.config import MapperOptions
+from slamcli.core.records import Frame
+from slamcli.mapping.backend.backend import Graph, lost
+from slamcli.mapping.mapper import Mapper
+from slamcli.mapping.relocalization import Recogniser
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import FloorMap, PoseEstimate, Prepared
+
+
+class Locator:
+    """Finds frames in a map, each by itself: nothing is known of where the robot was before.
+
+    Parameters
+    ----------
+    floor_map : FloorMap
+        From `slamcli.load_map`.
+    """
+
+    def __init__(self, floor_map: FloorMap) -> None:
+        self.calibration = floor_map.calibration
+        options = replace(
+            MapperOptions(),
+            features=floor_map.features,
+            metres_per_pixel=floor_map.metres_per_pixel,
+            tilt_sigma_degrees=floor_map.tilt_sigma_degrees,
+        )
+        self._mapper = Mapper(floor_map.calibration, options)
+        self._known = Recogniser(floor_map.calibration, options, self._mapper.grid)
+        self._graph = Graph()
+        for keyframe in floor_map.keyframes:
+            self._known.keep(keyframe)
+        for estimate in floor_map.estimates:
+            self._graph.adopt(estimate)
+        self._count = 0
+
+    def locate(self, frame: Frame | NDArray[np.uint8]) -> PoseEstimate:
+        """Return where a frame is on the map; lost, with the reason, when it is not there.
+
+        Parameters
+        ----------
+        frame : Frame, or (H, W[, 3]) uint8 BGR or gray pixels
+
+        Returns
+        -------
+        PoseEstimate
+            Its covariance is that of the map's keyframe and of the link to it; its score
+            how likely that link is right.
+        """
+        if not isinstance(frame, Frame):
+            frame = Frame(self._count, f"frame {self._count}", None, frame)
+            self._count += 1
+        return self.place(self.prepare(frame))
+
+    def prepare(self, frame: Frame) -> Prepared:
+        """Compute all that needs no map; may run ahead on any thread. Never raises."""
+        return self._mapper.prepare(frame)
+
+    def place(self, prepared: Prepared) -> PoseEstimate:
+        """Look a prepared frame up."""
+        if prepared.features is None:
+            return lost(prepared, prepared.reason)
+        places = self._known.recall(prepared.features)
+        found = self._known.believe(prepared, places, self._graph)
+        if found.trial is None or found.trial.link is None:
+            return lost(prepared, found.reason)
+        return self._graph.where(prepared, [found.trial.link])

@@ -1,0 +1,261 @@
+"""`slam calibrate`: photos of a square on the floor to calibrations, check pictures, a table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.core.camera import projection
+from slamcli.core.config import FeatureOptions
+from slamcli.core.errors import CalibrationError, FrameError, InputError, SlamcliError
+from slamcli.core.geometry import Pose2, apply_homography
+from slamcli.core.records import Frame, Intrinsics
+from slamcli.drawing.calibration import birdseye_grid, draw_calibration
+from slamcli.io.calibrations import Origin, load_intrinsics, save_calibration
+from slamcli.io.files import refuse_existing, write_image
+from slamcli.io.frames import read_image
+from slamcli.run.calibrate.mountings import (
+    Result,
+    Target,
+    choose_best,
+    compare,
+    corner_text,
+    describe,
+    floor_areas,
+)
+from slamcli.stages import calibrate as solving
+from slamcli.stages import features, square, view
+from slamcli.stages.calibrate import board
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+# How far a given corner may be off, one sigma, where nothing measured it.
+_GIVEN_CORNER_SIGMA_PIXELS = 0.5
+# What an unknown lens and an uneven floor move corners by, as a share of the picture's width.
+_TOLERANCE_SHARE = 0.004
+_BOW_WORTH_TELLING_SHARE = 0.002
+_COMPARED_FEATURES = 20_000
+_YAML_SUFFIXES = {".yaml", ".yml"}
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrateOptions:
+    """What `slam calibrate` was told.
+
+    Attributes
+    ----------
+    side_metres : float
+        Of the square, the marker, or one field of the chessboard.
+    corners : tuple of (x, y) pairs or None
+        Pixels; any order.
+    refine : bool
+        Move the given corners to the picture's edges nearby.
+    chessboard : (float, float) or None
+        Inner corners along both sides; whole numbers.
+    marker : str or None
+        ArUco dictionary.
+    intrinsics_path : Path or None
+        ROS camera_info.
+    max_range_metres : float or None
+        Far limit; chosen by the sampling when None.
+    """
+
+    side_metres: float
+    corners: tuple[tuple[float, float], ...] | None = None
+    refine: bool = False
+    chessboard: tuple[float, float] | None = None
+    marker: str | None = None
+    intrinsics_path: Path | None = None
+    max_range_metres: float | None = None
+
+
+def calibrate(
+    photos: Sequence[Path], output: Path, options: CalibrateOptions, *, overwrite: bool
+) -> list[str]:
+    """Calibrate from each photo, write files, and return what to tell the user.
+
+    One photo: `output` (a .yaml file, or a folder for calibration.yaml) and its check picture, the
+    same name with .png. Several: `output` is the best one's, and each photo's own calibration and
+    picture go beside it, named after it and the photo.
+
+    Raises
+    ------
+    InputError, CalibrationError, OutputError
+        CalibrationError when no photo yields a calibration.
+    """
+    _check(options, photos)
+    path = output if output.suffix.lower() in _YAML_SUFFIXES else output / "calibration.yaml"
+    own = [path.with_name(f"{path.stem}_{photo.stem}{path.suffix}") for photo in photos]
+    if len(set(own)) < len(own):
+        raise InputError("two photos have the same name; rename one, or calibrate them singly")
+    for place in [path] if len(photos) == 1 else [path, *own]:
+        refuse_existing(place, overwrite=overwrite)
+        refuse_existing(place.with_suffix(".png"), overwrite=overwrite)
+    intrinsics = options.intrinsics_path and load_intrinsics(options.intrinsics_path)
+    results: list[Result] = []
+    failures: list[str] = []
+    for photo in photos:
+        try:
+            results.append(_calibrate(photo, options, intrinsics or None))
+        except SlamcliError as error:
+            if len(photos) == 1:
+                raise
+            failures.append(f"{photo.name}: {error}")
+    if not results:
+        raise CalibrationError(f"no photo yields a calibration; {failures[0]}")
+    if len(photos) == 1:
+        _write(path, results[0], options)
+        return [*describe(results[0]), f"wrote {path} and {path.with_suffix('.png').name}"]
+    best, reason = choose_best(results)
+    for place, result in zip(own, _aligned(photos, results), strict=True):
+        if result is not None:
+            _write(place, result, options)
+    _write(path, best, options)
+    return [
+        *compare(results),
+        *[f"not calibrated: {failure}" for failure in failures],
+        f"best: {best.photo.name}, {reason}",
+        *describe(best),
+        f"wrote {path} (the best), and each photo's own beside it",
+    ]
+
+
+def _check(options: CalibrateOptions, photos: Sequence[Path]) -> None:
+    if not options.side_metres > 0 or not np.isfinite(options.side_metres):
+        raise InputError(f"--side {options.side_metres:g}: the side is a length above 0 metres")
+    if options.max_range_metres is not None and not options.max_range_metres > 0:
+        raise InputError(f"--max-range {options.max_range_metres:g}: it must be above 0 metres")
+    ways = [options.corners, options.chessboard, options.marker]
+    if sum(way is not None for way in ways) > 1:
+        raise InputError("give only one of --corners, --chessboard and --aruco")
+    if options.corners is not None and len(photos) > 1:
+        raise InputError("--corners fit one photo; calibrate several photos one at a time")
+    if options.refine and options.corners is None:
+        raise InputError("--refine moves given corners; it needs --corners")
+
+
+def _calibrate(photo: Path, options: CalibrateOptions, intrinsics: Intrinsics | None) -> Result:
+    try:
+        image = read_image(photo)
+    except FrameError as error:
+        raise InputError(f"cannot use the photo {photo}: {error}") from error
+    size = (image.shape[1], image.shape[0])
+    if intrinsics is not None and intrinsics.image_size != size:
+        raise CalibrationError(
+            f"{photo} has {size[0]}x{size[1]} pixels, but {options.intrinsics_path} is for "
+            f"{intrinsics.image_size[0]}x{intrinsics.image_size[1]}"
+        )
+    target = _find_target(image, options, intrinsics)
+    if intrinsics is None:
+        mounting = solving.solve_mounting(target.points, size)
+    else:
+        mounting = solving.solve_mounting_with_intrinsics(target.points, intrinsics)
+    calibration = solving.make_calibration(mounting, size, intrinsics, options.max_range_metres)
+    floor = projection.seen_floor(calibration)
+    area, resolved = floor_areas(calibration)
+    resampler = view.make_view_resampler(
+        calibration, view.registration_metres_per_pixel(calibration)
+    )
+    seen = view.make_view(Frame(0, photo.name, None, image), resampler, gray=True)
+    count = len(features.extract(seen, calibration, FeatureOptions(count=_COMPARED_FEATURES)))
+    near = float(np.hypot(floor[:, 0], floor[:, 1]).min())
+    return Result(
+        photo, image, target, mounting, calibration, area, resolved, near, feature_count=count
+    )
+
+
+def _find_target(
+    image: NDArray[np.uint8], options: CalibrateOptions, intrinsics: Intrinsics | None
+) -> Target:
+    size = (image.shape[1], image.shape[0])
+    lens = intrinsics or _plain_lens(size)
+    target = solving.square_target(options.side_metres)
+    if options.chessboard is not None:
+        columns, rows = (round(count) for count in options.chessboard)
+        grid, pixels = board.find_chessboard(image, columns, rows, options.side_metres)
+        points = solving.FloorPoints(
+            grid,
+            projection.undistort_points(lens, pixels),
+            np.eye(2 * len(grid)) * board.CHESSBOARD_SIGMA_PIXELS**2,
+        )
+        ends = [0, columns - 1, columns * rows - 1, columns * (rows - 1)]
+        return Target(f"chessboard {columns}x{rows}", points, pixels[ends], ())
+    if options.corners is not None and not options.refine:
+        corners = solving.sort_corners(options.corners, size)
+        covariance = np.eye(8) * _GIVEN_CORNER_SIGMA_PIXELS**2
+        undistorted = projection.undistort_points(lens, corners)
+        return Target("square", solving.FloorPoints(target, undistorted, covariance), corners, ())
+    notes: list[str] = []
+    name = "square"
+    if options.corners is not None:
+        found = square.refine_square(image, solving.sort_corners(options.corners, size), lens)
+    elif options.marker is not None:
+        marker, number = board.find_marker(image, options.marker)
+        found = square.refine_square(image, solving.sort_corners(marker, size), lens)
+        name = f"aruco {options.marker.lower()} {number}"
+    else:
+        judge = partial(
+            solving.squareness,
+            image_size=size,
+            intrinsics=intrinsics,
+            tolerance_pixels=_TOLERANCE_SHARE * size[0],
+        )
+        found, *others = square.find_squares(image, lens, judge)
+        notes += [
+            f"another square may be meant ({other.score / found.score:.0%} as good): "
+            f'--corners "{corner_text(other.corners)}"'
+            for other in others[:1]
+        ]
+    notes += _bow_note(found, intrinsics)
+    points = solving.FloorPoints(target, found.quad.corners, found.quad.covariance)
+    return Target(name, points, found.corners, tuple(notes))
+
+
+def _plain_lens(size: tuple[int, int]) -> Intrinsics:
+    """Return a lens without distortion; nothing reads its focal length."""
+    column, row = projection.image_centre(size)
+    matrix = np.array([[size[0], 0.0, column], [0.0, size[0], row], [0.0, 0.0, 1.0]])
+    return Intrinsics(matrix, np.zeros(5), "plumb_bob", size)
+
+
+def _bow_note(found: square.Square, intrinsics: Intrinsics | None) -> list[str]:
+    corners = found.quad.corners
+    longest = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).max())
+    bow = abs(found.quad.bow_pixels)
+    if bow < max(0.5, _BOW_WORTH_TELLING_SHARE * longest):
+        return []
+    cure = "give --intrinsics" if intrinsics is None else "check --intrinsics"
+    what = "the lens distorts or the floor is uneven"
+    return [f"the square's sides bow by up to {bow:.1f} px: {what}; {cure}"]
+
+
+def _write(path: Path, result: Result, options: CalibrateOptions) -> None:
+    calibration, target = result.calibration, result.target
+    corners = apply_homography(
+        calibration.robot_from_image, projection.undistort_points(calibration, target.outline)
+    )
+    grid = birdseye_grid(calibration, corners)
+    # Past the far limit too, as far as the picture shows it: the square may lie there.
+    reach = float(np.hypot(*grid.corners.T).max())
+    wide = replace(calibration, max_range_metres=max(reach, calibration.max_range_metres))
+    frame = Frame(0, result.photo.name, None, result.image)
+    resampler = view.make_resampler(wide, projection.sharpness_image(wide), grid, Pose2())
+    birdseye = view.make_view(frame, resampler, gray=False)
+    picture = draw_calibration(
+        result.image, target.outline, calibration, birdseye, describe(result)
+    )
+    origin = Origin(result.photo.name, target.name, options.side_metres, target.outline)
+    save_calibration(path, calibration, origin)
+    write_image(path.with_suffix(".png"), picture)
+
+
+def _aligned(photos: Sequence[Path], results: Sequence[Result]) -> list[Result | None]:
+    by_photo = {result.photo: result for result in results}
+    return [by_photo.get(photo) for photo in photos]

@@ -1,0 +1,169 @@
+"""What a mounting of the camera sees of the floor: told in lines, compared in a table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.core.camera import projection
+from slamcli.stages import calibrate as solving
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import Calibration
+
+# Floor that a pixel covers more of than this shows no scuff, seam or painted edge sharply.
+RESOLVED_METRES_PER_PIXEL = 0.002
+_EQUAL_SHARE = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """What was found in a photo: its points, its outline in pixels, what to say of it."""
+
+    name: str
+    points: solving.FloorPoints
+    outline: NDArray[np.float64]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """One photo's calibration, and what it is worth as a place to mount the camera.
+
+    Attributes
+    ----------
+    photo : Path
+    image : (H, W, 3) uint8
+    target : Target
+    mounting : Mounting
+    calibration : Calibration
+    area, resolved_area : float
+        Square metres of floor kept, and of those the part that a pixel of at most
+        `RESOLVED_METRES_PER_PIXEL` sees.
+    near_metres : float
+    feature_count : int
+        ORB points in the kept part of the bird's-eye view.
+    """
+
+    photo: Path
+    image: NDArray[np.uint8]
+    target: Target
+    mounting: solving.Mounting
+    calibration: Calibration
+    area: float
+    resolved_area: float
+    near_metres: float
+    feature_count: int
+
+
+def compare(results: Sequence[Result]) -> list[str]:
+    """Return a table, one line a photo, of what each mounting sees of the floor."""
+    header = (
+        f"{'photo':<24}{'pitch':>8}{'height':>9}{'area':>10}{'resolved':>10}{'near':>8}{'far':>8}"
+        f"{'mm/px near':>13}{'1 m':>13}{'far':>13}{'ORB':>7}"
+    )
+    lines = [header]
+    for result in results:
+        calibration = result.calibration
+        cells = [_cell(sampling) for _, sampling in _sampling(result)]
+        lines.append(
+            f"{result.photo.name[:23]:<24}{np.degrees(calibration.pitch_radians):>7.1f}°"
+            f"{calibration.height_metres:>7.3f} m{result.area:>7.3f} m²"
+            f"{result.resolved_area:>7.3f} m²"
+            f"{result.near_metres:>6.2f} m{calibration.max_range_metres:>6.2f} m"
+            + "".join(f"{cell:>13}" for cell in cells)
+            + f"{result.feature_count:>7}"
+        )
+    return lines
+
+
+def choose_best(results: Sequence[Result]) -> tuple[Result, str]:
+    """Return the mounting that resolves most floor, and why; near-equal ones by their features.
+
+    A steep camera sees little floor, a flat one sees much of it smeared. What counts is the area
+    that is both kept and seen at `RESOLVED_METRES_PER_PIXEL` or finer along the line of sight.
+    """
+    most = max(result.resolved_area for result in results)
+    limit = f"{1000 * RESOLVED_METRES_PER_PIXEL:g} mm a pixel or finer"
+    rivals = [result for result in results if result.resolved_area >= (1 - _EQUAL_SHARE) * most]
+    best = max(rivals, key=lambda result: result.feature_count)
+    if len(rivals) > 1:
+        return best, (
+            f"which resolves {best.resolved_area:.3f} m² of floor at {limit}, like "
+            f"{len(rivals) - 1} more, and shows most ORB points there ({best.feature_count})"
+        )
+    return best, f"which resolves most floor: {best.resolved_area:.3f} m² at {limit}"
+
+
+def floor_areas(calibration: Calibration) -> tuple[float, float]:
+    """Return square metres of floor kept, and the part that is resolved."""
+    hull = projection.footprint_hull(calibration)
+    x, y = hull.T
+    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    floor = projection.seen_floor(calibration)
+    sampling = projection.floor_sampling(calibration, floor)
+    # The points lie evenly in the picture, so each stands for floor like its pixel's.
+    weight = sampling.prod(axis=1)
+    resolved = sampling[:, 0] <= RESOLVED_METRES_PER_PIXEL
+    return area, area * float(weight[resolved].sum() / weight.sum())
+
+
+def _sampling(result: Result) -> list[tuple[str, NDArray[np.float64] | None]]:
+    """Return metres per pixel (along, across) at the near edge, at 1 m and at the far limit."""
+    calibration = result.calibration
+    far = calibration.max_range_metres
+    places = [
+        (f"the near edge ({result.near_metres:.2f} m)", result.near_metres),
+        ("1 m" if far >= 1.0 else "1 m (not used)", 1.0),
+        (f"the far limit ({far:.2f} m)", far),
+    ]
+    sampled: list[tuple[str, NDArray[np.float64] | None]] = []
+    for name, distance in places:
+        ahead = np.array([[distance, 0.0]])
+        depth = float(ahead[0] @ calibration.image_from_robot[2, :2]) + float(
+            calibration.image_from_robot[2, 2]
+        )
+        sampling = projection.floor_sampling(calibration, ahead)[0] if depth > 0 else None
+        sampled.append((name, sampling))
+    return sampled
+
+
+def describe(result: Result) -> list[str]:
+    """Return lines of text: what was found, the numbers with their sigmas, what to beware of."""
+    mounting, calibration, target = result.mounting, result.calibration, result.target
+    sigma = np.degrees(mounting.sigmas[2:])
+    focal = f"focal length {mounting.focal_pixels:.1f} ± {mounting.sigmas[0]:.1f} px, "
+    sampling = "; ".join(f"{_cell(value)} at {name}" for name, value in _sampling(result))
+    misfit = []
+    if mounting.misfit_sigmas > solving.MISFIT_SIGMAS and mounting.residual_pixels > 0.3:
+        misfit = [
+            f"note: the corners fit a square on a flat floor only to "
+            f"{mounting.residual_pixels:.1f} px ({mounting.misfit_sigmas:.0f} sigmas)"
+        ]
+    return [
+        f"{result.photo.name}: {target.name}, corners {corner_text(target.outline)}",
+        f"{focal if mounting.sigmas[0] > 0 else ''}height {1000 * calibration.height_metres:.1f} ± "
+        f"{1000 * mounting.sigmas[1]:.1f} mm, pitch {np.degrees(calibration.pitch_radians):.2f} ± "
+        f"{sigma[0]:.2f}°, roll {np.degrees(calibration.roll_radians):.2f} ± {sigma[1]:.2f}°",
+        f"one pixel covers, mm of floor along x across the line of sight: {sampling}",
+        f"floor kept: {result.area:.3f} m², {result.near_metres:.2f} to "
+        f"{calibration.max_range_metres:.2f} m; ORB points in it: {result.feature_count}",
+        *[f"note: {note}" for note in target.notes],
+        *misfit,
+    ]
+
+
+def _cell(sampling: NDArray[np.float64] | None) -> str:
+    return "-" if sampling is None else f"{1000 * sampling[0]:.2f} x {1000 * sampling[1]:.2f}"
+
+
+def corner_text(corners: NDArray[np.float64]) -> str:
+    """Return corners, pixels, in the form that --corners takes."""
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)

@@ -1,0 +1,160 @@
+"""The camera refined by its own frames: for `slam stitch` and for `slam calibrate --refine`."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.core.camera import projection
+from slamcli.core.config import MapperOptions
+from slamcli.core.errors import CalibrationError, InputError
+from slamcli.core.geometry import Pose2, apply_homography
+from slamcli.io.calibrations import load_origin, save_calibration
+from slamcli.io.files import refuse_existing
+from slamcli.io.frames import read_frame
+from slamcli.run.inputs import open_inputs
+from slamcli.run.session.executor import ordered
+from slamcli.run.stitch.frame_loop import register
+from slamcli.selfcal import Refinement, Registration, refine
+from slamcli.stages import calibrate as solving
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import Calibration
+    from slamcli.io.calibrations import Origin
+    from slamcli.io.toml import Scalar
+    from slamcli.run.inputs import Inputs
+    from slamcli.run.session.executor import Progress
+
+
+def calibrate_by_frames(
+    sources: Sequence[Path],
+    calibration_path: Path | None,
+    output: Path,
+    max_range_metres: float | None,
+    *,
+    workers: int,
+    overwrite: bool,
+    progress: Progress,
+) -> list[str]:
+    """Refine an existing calibration by a drive's frames; write it and return what to tell.
+
+    Raises
+    ------
+    InputError, CalibrationError, OutputError
+        CalibrationError when the frames do not determine the camera.
+    """
+    path = output if output.suffix.lower() in {".yaml", ".yml"} else output / "calibration.yaml"
+    refuse_existing(path, overwrite=overwrite)
+    inputs = open_inputs(sources, calibration_path, max_range_metres=max_range_metres)
+    if inputs.calibration_path is None:
+        raise InputError("--refine starts from a calibration; give it with -c")
+    options = MapperOptions()
+    first = register(inputs.files, options, workers, progress, inputs.calibration)
+    done = self_calibrate(inputs, first, options, workers, progress)
+    if done.verdict == "not applied":
+        raise CalibrationError(f"the calibration is left as it was: {done.reason}")
+    origin = load_origin(inputs.calibration_path)
+    save_calibration(path, done.registration.calibration, origin)
+    lines = [inputs.note] if inputs.note else []
+    return [*lines, *describe(done), f"wrote {path}"]
+
+
+def self_calibrate(
+    inputs: Inputs,
+    first: Registration,
+    options: MapperOptions,
+    workers: int,
+    progress: Progress,
+) -> Refinement:
+    """Refine camera and poses by the frames that have been registered."""
+    origin = None if inputs.calibration_path is None else load_origin(inputs.calibration_path)
+    return refine(
+        first,
+        lambda index: read_frame(inputs.files[index]),
+        partial(register, inputs.files, options, workers, progress),
+        partial(ordered, workers=workers),
+        partial(true_scale, origin),
+    )
+
+
+def true_scale(origin: Origin | None, calibration: Calibration) -> float:
+    """Return by how much a camera's height must grow for its calibration square to have its size.
+
+    The focal length and the tilt that frames tell change how large the square seems in its photo:
+    least squares on the reprojection of its corners, by size and place. 1 without a square.
+    """
+    if origin is None or origin.target.split()[:1] not in (["square"], ["aruco"]):
+        return 1.0
+    # Slow to load, and of use to few runs of `slam stitch`.
+    from scipy.optimize import least_squares
+
+    corners = solving.sort_corners(origin.corners, calibration.image_size)
+    target = solving.square_target(origin.side_metres)
+    pixels = projection.undistort_points(calibration, corners)
+    floor = apply_homography(calibration.robot_from_image, pixels)
+    edge, side = floor[1] - floor[0], target[1] - target[0]
+    yaw = math.atan2(edge[1], edge[0]) - math.atan2(side[1], side[0])
+
+    def misfit(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        size, x, y, theta = (float(value) for value in values)
+        placed = Pose2(x, y, theta).apply(math.exp(size) * target)
+        seen = apply_homography(calibration.image_from_robot, placed)
+        return np.asarray((seen - pixels).ravel(), np.float64)
+
+    start = np.array([0.0, *floor.mean(axis=0), yaw])
+    solution = least_squares(misfit, start, method="lm", x_scale="jac")
+    return math.exp(-float(solution.x[0]))
+
+
+def describe(done: Refinement) -> list[str]:
+    """Return lines of text: what became of the camera, and how well it explains the frames."""
+    lines = [f"{'camera':<12} {done.verdict}: {done.reason}"]
+    if math.isfinite(done.pixels_after):
+        lines.append(
+            f"{'matches':<12} {done.pixels_before:.2f} px apart before, "
+            f"{done.pixels_after:.2f} px after (median)"
+        )
+    if done.rocking_sigmas is not None:
+        pitch, roll, height = done.rocking_sigmas
+        metres = height * done.registration.calibration.height_metres
+        lines.append(
+            f"{'rocking':<12} pitch {math.degrees(pitch):.2g}°, roll {math.degrees(roll):.2g}°, "
+            f"height {1000.0 * metres:.2g} mm from frame to frame"
+        )
+    return lines
+
+
+def run_section(done: Refinement) -> dict[str, Scalar]:
+    """Return what run.toml says of it."""
+    calibration = done.registration.calibration
+    section: dict[str, Scalar] = {
+        "verdict": done.verdict,
+        "reason": done.reason,
+        "rounds": done.rounds,
+        "focal_pixels": float(calibration.camera_matrix[0, 0]),
+        "principal_column_pixels": float(calibration.camera_matrix[0, 2]),
+        "principal_row_pixels": float(calibration.camera_matrix[1, 2]),
+        "height_metres": calibration.height_metres,
+        "pitch_degrees": math.degrees(calibration.pitch_radians),
+        "roll_degrees": math.degrees(calibration.roll_radians),
+        "k1": float(calibration.distortion[0]),
+        "k2": float(calibration.distortion[1]),
+    }
+    if math.isfinite(done.pixels_after):
+        section |= {"pixels_before": done.pixels_before, "pixels_after": done.pixels_after}
+    if done.rocking_sigmas is not None:
+        pitch, roll, height = (float(sigma) for sigma in done.rocking_sigmas)
+        section |= {
+            "rocking_pitch_degrees": math.degrees(pitch),
+            "rocking_roll_degrees": math.degrees(roll),
+            "rocking_height_metres": height * calibration.height_metres,
+        }
+    return section

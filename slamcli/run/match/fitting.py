@@ -1,0 +1,262 @@
+"""Two pictures, fitted: what `slam match` tries, in what order, and when it believes it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+
+from slamcli.core.camera import projection
+from slamcli.core.config import MapperOptions
+from slamcli.core.errors import FrameError, InputError
+from slamcli.core.geometry import Grid
+from slamcli.core.records import Prepared, View
+from slamcli.io.frames import read_frame
+from slamcli.registration import Trial, compare
+from slamcli.registration.preparation import assemble
+from slamcli.stages import align, dense, features, local_correlation, view
+
+if TYPE_CHECKING:
+    from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions
+    from slamcli.core.records import Alignment, Calibration, Features, Frame
+    from slamcli.io.frames import FrameFile
+
+LEAST_CORRELATION = 0.4
+# With several fronts to choose from, so few inliers are believed when the pixels agree this well.
+FEWEST_CONFIRMED_INLIERS = 6
+CONFIRMING_CORRELATION = 0.7
+# So many times the inliers that are needed make it idle to try another front.
+_STRONG_FACTOR = 2
+# Enlarging a picture beyond this many pixels costs seconds.
+_MOST_ENLARGED_PIXELS = 6_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Front:
+    """One way to find features in two pictures.
+
+    Attributes
+    ----------
+    method : str
+    enlargement : int
+        Times that the pictures are enlarged before: small things then fill a descriptor's patch.
+    count : int or None
+        Most features a picture; None: as the options say.
+    """
+
+    method: FeatureMethod
+    enlargement: int = 1
+    count: int | None = None
+
+    def __str__(self) -> str:
+        return self.method.upper() + (f" x{self.enlargement}" if self.enlargement > 1 else "")
+
+
+# From cheap to dear: what fits two like pictures comes first; small or blurred ones need an
+# enlargement, or the scale space of SIFT, which ORB's eight levels only approximate.
+AUTO_FRONTS: Final = (
+    Front("orb", 1, 4000),
+    Front("orb", 2, 10000),
+    Front("sift", 1, 5000),
+    Front("sift", 2, 10000),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """One of the two, as read and as seen.
+
+    Attributes
+    ----------
+    frame : Frame
+    view : View
+        Gray: the bird's-eye view, or the picture itself in pixel units.
+    calibration : Calibration
+    """
+
+    frame: Frame
+    view: View
+    calibration: Calibration
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """What came of one front.
+
+    Attributes
+    ----------
+    front : Front
+    alignment : Alignment
+        Of ``first_from_second``.
+    first, second : Features
+    correlation : float
+        Median over small windows of the overlap; nan when nothing could be compared.
+    reason : str
+        Why it is not believed; empty when it is.
+    trial : Trial or None
+        What the pixels alone said, when the features did not convince.
+    standing : (Standing, Standing) or None
+        Where something stands on the floor, in either view; None when nothing fits, or in plain
+        pictures.
+    standing_inliers : int
+        Of the features' fit: so many lie on it, and were left out where that helped.
+    """
+
+    front: Front
+    alignment: Alignment
+    first: Features
+    second: Features
+    correlation: float
+    reason: str
+    trial: Trial | None = None
+    standing: tuple[dense.Standing, dense.Standing] | None = None
+    standing_inliers: int = 0
+
+
+def read_picture(file: FrameFile) -> Frame:
+    """Return a frame that is needed; raises InputError that names the file."""
+    try:
+        return read_frame(file)
+    except FrameError as error:
+        raise InputError(f"{file.path}: {error}") from error
+
+
+def plain_picture(frame: Frame, enlargement: int = 1) -> Picture:
+    """Return a picture as a view of itself: one unit is one of its own pixels."""
+    gray = view.to_gray(frame.image)
+    height, width = gray.shape
+    mask = np.full(gray.shape, 255, np.uint8) if frame.mask is None else frame.mask
+    grid = Grid(0.0, 0.0, 1.0 / enlargement, width * enlargement, height * enlargement)
+    if enlargement > 1:
+        size = (grid.width, grid.height)
+        gray = np.asarray(cv2.resize(gray, size, interpolation=cv2.INTER_CUBIC), np.uint8)
+        mask = np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)
+    return Picture(frame, View(grid, gray, mask), projection.top_down_calibration((width, height)))
+
+
+def birdseye_picture(frame: Frame, calibration: Calibration, metres_per_pixel: float) -> Picture:
+    """Return a frame as a bird's-eye view; raises InputError when another camera took it."""
+    try:
+        view.check_frame(frame, calibration)
+    except FrameError as error:
+        raise InputError(f"{frame.name}: {error}") from error
+    resampler = view.make_view_resampler(calibration, metres_per_pixel)
+    seen = view.make_compared_views(frame, [resampler])[0]
+    return Picture(frame, seen, calibration)
+
+
+def fit_pair(
+    first: Picture,
+    second: Picture,
+    fronts: tuple[Front, ...],
+    feature_options: FeatureOptions,
+    match_options: MatchOptions,
+) -> Fit:
+    """Try fronts in order; return the first strong fit, else the one that the pixels like best.
+
+    A fit with fewer inliers than `match_options` ask for is believed too, when there are several
+    fronts to try, if the pixels confirm it beyond doubt.
+    """
+    enough = match_options.min_inliers
+    strong = _STRONG_FACTOR * enough if len(fronts) > 1 else enough
+    if len(fronts) > 1:
+        match_options = replace(match_options, min_inliers=min(enough, FEWEST_CONFIRMED_INLIERS))
+    fits: list[Fit] = []
+    for front in fronts:
+        if fits and not _affordable(front, first, second):
+            continue
+        fit = _try(front, first, second, feature_options, match_options)
+        few = fit.alignment.inlier_count < enough
+        fit = _judge(fit, CONFIRMING_CORRELATION if few else LEAST_CORRELATION)
+        if not fit.reason and fit.alignment.inlier_count >= strong:
+            return fit
+        fits.append(fit)
+    believed = [fit for fit in fits if not fit.reason]
+    if believed:
+        return max(believed, key=lambda fit: fit.correlation)
+    return max(fits, key=lambda fit: fit.alignment.inlier_count)
+
+
+def _judge(fit: Fit, least_correlation: float) -> Fit:
+    """Return the fit with a reason when the pixels do not confirm it."""
+    if fit.reason or fit.correlation >= least_correlation:
+        return fit
+    if math.isnan(fit.correlation):
+        return replace(fit, reason="the overlap shows too little to confirm the fit by its pixels")
+    return replace(
+        fit,
+        reason=f"the pictures do not look alike under the fit: correlation {fit.correlation:.2f}; "
+        f"at least {least_correlation:.2f} is needed",
+    )
+
+
+def _affordable(front: Front, first: Picture, second: Picture) -> bool:
+    pixels = sum(p.view.grid.width * p.view.grid.height for p in (first, second))
+    return front.enlargement == 1 or pixels * front.enlargement**2 <= _MOST_ENLARGED_PIXELS
+
+
+def _try(
+    front: Front,
+    first: Picture,
+    second: Picture,
+    feature_options: FeatureOptions,
+    match_options: MatchOptions,
+) -> Fit:
+    options = replace(
+        feature_options, method=front.method, count=front.count or feature_options.count
+    )
+    found = []
+    for picture in (first, second):
+        shown = picture.view
+        if front.enlargement > 1:
+            shown = plain_picture(picture.frame, front.enlargement).view
+        found.append(features.extract(shown, picture.calibration, options))
+    alignment = align.align(found[0], found[1], match_options)
+    correlation = math.nan
+    if alignment.a_from_b is not None and alignment.accepted:
+        correlation = local_correlation.local_correlation(
+            first.view, second.view, alignment.a_from_b
+        )
+    return Fit(front, alignment, found[0], found[1], correlation, alignment.reason)
+
+
+def _prepared(index: int, picture: Picture, found: Features) -> Prepared:
+    """Return a bird's-eye picture as the mapper would compare it."""
+    frame, views = picture.frame, [picture.view]
+    far = view.make_far_resampler(picture.calibration, picture.view.grid.metres_per_pixel)
+    if far is not None:
+        views += view.make_compared_views(frame, [far])
+    return assemble(replace(frame, index=index), views, found)
+
+
+def search_pair(first: Picture, second: Picture, fit: Fit) -> Fit:
+    """Let the pixels of two bird's-eye views decide where their features did not.
+
+    Returns
+    -------
+    Fit
+        Of the motion that the pixels single out, or the given one with what they said.
+    """
+    prepared = [_prepared(0, first, fit.first), _prepared(1, second, fit.second)]
+    options = MapperOptions(max_turn_degrees=180.0)
+    trial = compare(
+        prepared[0], prepared[1], None, first.calibration, options, window=dense.Window()
+    )
+    if trial.link is None:
+        reason = fit.reason if trial.search is None else f"{fit.reason}; {trial.reason}"
+        return replace(fit, reason=reason, trial=trial)
+    pose = trial.link.a_from_b
+    alignment = replace(
+        fit.alignment,
+        model="rigid",
+        a_from_b=pose.matrix,
+        pose=pose,
+        covariance=trial.link.covariance,
+        inliers=np.zeros(len(fit.alignment.matches), np.bool_),
+        residuals=np.full(len(fit.alignment.matches), np.nan),
+        reason="",
+    )
+    return replace(fit, alignment=alignment, correlation=trial.correlation, reason="", trial=trial)

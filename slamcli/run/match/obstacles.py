@@ -1,0 +1,110 @@
+"""What stands on the floor of two bird's-eye views, and their fit without it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.core.config import MapperOptions
+from slamcli.core.geometry import invert
+from slamcli.stages import align, dense, local_correlation
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.core.geometry import Pose2
+    from slamcli.core.records import Alignment, Calibration, DenseLevel
+    from slamcli.run.match.fitting import Fit, Picture
+
+# So many times its tilt sigma may a camera rock between two pictures.
+_ROCKING_TIMES = (0.0, 1.0, 5.0)
+
+
+def mark_standing(first: Picture, second: Picture, fit: Fit, least_inliers: int) -> Fit:
+    """Return the fit of two bird's-eye views with what stands on their floor.
+
+    Inliers that lie on it are left out and the motion is fitted again, where at least so many are
+    left and the pixels of the views then agree better.
+    """
+    pose = fit.alignment.pose
+    if fit.reason or pose is None:
+        return fit
+    calibration = first.calibration
+    levels_a, levels_b = (dense.make_levels(picture.view) for picture in (first, second))
+    shown = _registered(levels_a, levels_b, pose, calibration)
+    marks = (
+        dense.standing(levels_a, levels_b, shown, calibration),
+        dense.standing(levels_b, levels_a, invert(shown), calibration),
+    )
+    matches = fit.alignment.matches
+    marked = marks[0].marks(fit.first.points[matches[:, 0]])
+    marked |= marks[1].marks(fit.second.points[matches[:, 1]])
+    marked &= fit.alignment.inliers
+    fit = replace(fit, standing=marks, standing_inliers=int(np.count_nonzero(marked)))
+    if not marked.any() or fit.alignment.inlier_count - fit.standing_inliers < least_inliers:
+        return fit
+    without = _without(fit, marked)
+    if without is None or without.pose is None:
+        return fit
+    before, after = (
+        dense.agreement(levels_a[0], levels_b[0], motion.matrix).correlation
+        for motion in (pose, without.pose)
+    )
+    if not after > before:
+        return fit
+    correlation = local_correlation.local_correlation(first.view, second.view, without.pose.matrix)
+    return replace(fit, alignment=without, correlation=correlation)
+
+
+def _without(fit: Fit, marked: NDArray[np.bool_]) -> Alignment | None:
+    """Return the alignment by the inliers that are not marked."""
+    alignment = fit.alignment
+    assert alignment.pose is not None
+    index_a, index_b = alignment.matches.T
+    points_a = fit.first.points[index_a].astype(np.float64)
+    points_b = fit.second.points[index_b].astype(np.float64)
+    kept = alignment.inliers & ~marked
+    refitted = align.fit_rigid(
+        points_a[kept],
+        points_b[kept],
+        fit.first.sigmas[index_a[kept]].astype(np.float64),
+        fit.second.sigmas[index_b[kept]].astype(np.float64),
+        alignment.pose,
+    )
+    if refitted is None:
+        return None
+    return replace(
+        alignment,
+        a_from_b=refitted.a_from_b.matrix,
+        pose=refitted.a_from_b,
+        covariance=refitted.covariance,
+        inliers=kept,
+        residuals=np.linalg.norm(points_a - refitted.a_from_b.apply(points_b), axis=1),
+    )
+
+
+def _registered(
+    levels_a: tuple[DenseLevel, ...],
+    levels_b: tuple[DenseLevel, ...],
+    pose: Pose2,
+    calibration: Calibration,
+) -> NDArray[np.float64]:
+    """Return (3, 3): how the views' floors lie best upon each other, the camera's rocking allowed.
+
+    What is left of a tilt that differs between the frames would pass for something that stands.
+    """
+    best = pose.matrix
+    highest = dense.agreement(levels_a[0], levels_b[0], best).correlation
+    for times in _ROCKING_TIMES:
+        tilt = math.radians(times * MapperOptions().tilt_sigma_degrees)
+        refined = dense.refine(levels_a, levels_b, pose, calibration, tilt)
+        if refined is None:
+            continue
+        warp = refined.view_a_from_view_b
+        correlation = dense.agreement(levels_a[0], levels_b[0], warp).correlation
+        if not correlation <= highest:
+            best, highest, pose = warp, correlation, refined.a_from_b
+    return best

@@ -1,0 +1,1 @@
+"""Painting a map of frames that have their poses, and writing it."""

@@ -1,0 +1,95 @@
+"""Work done ahead of its turn: pure functions on threads or on a cluster, results in order."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+import cv2
+
+from slamcli.run.session.cluster import connected
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from concurrent.futures import Executor, Future
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class Progress(Protocol):
+    """Told after each step of a stage of the work."""
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Take note that `done` of `total` steps of `stage` are finished."""
+
+
+def default_workers() -> int:
+    """Return the number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def ordered(
+    function: Callable[[Item], Result], items: Iterable[Item], workers: int, scheduler: str = ""
+) -> Iterator[Result]:
+    """Yield ``function(item)`` in order, computed at most a few items ahead.
+
+    OpenCV's own threads are switched off meanwhile: the frames already fill the processors, and
+    results must not depend on how a kernel was split.
+
+    Parameters
+    ----------
+    workers : int
+        Threads.
+    scheduler : str
+        Address of a Dask scheduler, whose workers take the threads' place; function, items and
+        results are then pickled.
+
+    Raises
+    ------
+    InputError
+        When the cluster cannot be reached.
+    """
+    pending: deque[Future[Result]] = deque()
+    with _alone(), _executor(workers, scheduler) as (executor, ahead):
+        try:
+            for item in items:
+                pending.append(executor.submit(function, item))
+                if len(pending) > ahead:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            for future in pending:
+                future.cancel()
+
+
+@contextmanager
+def threads(workers: int) -> Iterator[Executor]:
+    """Yield so many threads, OpenCV's own switched off meanwhile."""
+    with _alone(), ThreadPoolExecutor(workers) as executor:
+        yield executor
+
+
+@contextmanager
+def _alone() -> Iterator[None]:
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+@contextmanager
+def _executor(workers: int, scheduler: str) -> Iterator[tuple[Executor, int]]:
+    """Yield where to submit work, and how many items to be ahead by."""
+    if scheduler:
+        with connected(scheduler) as cluster:
+            yield cluster, 2 * cluster.processors
+    else:
+        with ThreadPoolExecutor(workers) as executor:
+            yield executor, 2 * workers

@@ -1,0 +1,69 @@
+"""Drawings of the comparisons that the mapper made, for `slam stitch --debug`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from slamcli.core.geometry import apply_homography, invert
+from slamcli.drawing.matches import draw_matches
+from slamcli.io.files import write_image
+from slamcli.stages import view
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import Prepared
+    from slamcli.registration import Trial
+
+
+def draw_trials(trials: Sequence[Trial], folder: Path) -> None:
+    """Draw every comparison that placed a frame, or failed to."""
+    for trial in trials:
+        first, second, fit = trial.keyframe, trial.prepared, trial.alignment
+        picture_first, points_first, to_first = _drawable(first, fit.matches[:, 0])
+        picture_second, points_second, to_second = _drawable(second, fit.matches[:, 1])
+        if trial.link is not None:
+            a_from_b: NDArray[np.float64] | None = trial.link.a_from_b.matrix
+            verdict = f"placed, score {trial.score:.3f}, correlation {trial.correlation:.3f}"
+        else:
+            a_from_b = fit.a_from_b if fit.accepted else None
+            verdict = trial.reason
+        second_from_first = None
+        if a_from_b is not None:
+            second_from_first = to_second @ invert(a_from_b) @ invert(to_first)
+        header = [
+            f"{second.name} on {first.name}: {verdict}",
+            f"{fit.inlier_count} inliers of {len(fit.matches)} matches, "
+            f"overlap {trial.overlap:.0%}; the robot looks to the right",
+        ]
+        drawing = draw_matches(
+            picture_first,
+            picture_second,
+            points_first,
+            points_second,
+            fit.inliers,
+            second_from_first,
+            header,
+        )
+        write_image(folder / f"{second.index:04d}_to_{first.index:04d}.png", drawing)
+
+
+def _drawable(
+    prepared: Prepared, chosen: NDArray[np.int32]
+) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
+    """Return a frame's view, its chosen points in that view's pixels, and pixel_from_metres.
+
+    Of a keyframe from long ago only half the resolution is kept.
+    """
+    assert prepared.features is not None
+    if prepared.view is not None:
+        image, pixel_from_metres = prepared.view.image, prepared.view.grid.pixel_from_metres
+    else:
+        first = prepared.levels[0]
+        image, pixel_from_metres = first.image, first.pixel_from_metres
+    points = apply_homography(pixel_from_metres, prepared.features.points[chosen])
+    return view.to_colour(image), points, pixel_from_metres

@@ -1,0 +1,134 @@
+"""A registration as its adjustment leaves it: camera, poses, rocking, in metres."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.core.camera import projection
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import Rocking
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from slamcli.core.records import Calibration, Link, PoseEstimate
+    from slamcli.selfcal.bundle import Registration
+    from slamcli.stages import adjustment
+
+# A pose is no surer than this, m and rad.
+_LEAST_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
+
+
+def with_views(
+    registration: Registration, found: adjustment.Adjustment, scale: float
+) -> Registration:
+    """Return the registration with adjusted camera and poses, its lengths multiplied by `scale`.
+
+    A frame without matches of its own moves with the nearest that has some.
+    """
+    calibration = _scaled_camera(found, registration.calibration, scale)
+    before = {e.index: e for e in registration.estimates if e.map_from_robot is not None}
+    estimates = []
+    for estimate in registration.estimates:
+        if estimate.map_from_robot is None:
+            estimates.append(estimate)
+            continue
+        rocking, covariance = Rocking(), estimate.covariance
+        if estimate.index in found.views:
+            pose = found.views[estimate.index].map_from_robot
+            rocking = found.views[estimate.index].rocking
+            covariance = found.pose_covariances[estimate.index] + _LEAST_POSE_COVARIANCE
+        else:
+            pose = _carried(estimate, before, found)
+        metres = np.array([scale, scale, 1.0])
+        estimates.append(
+            replace(
+                estimate,
+                map_from_robot=Pose2(scale * pose.x, scale * pose.y, pose.theta),
+                covariance=None if covariance is None else covariance * np.outer(metres, metres),
+                rocking=replace(rocking, height_metres=scale * rocking.height_metres),
+            )
+        )
+    by_index = {estimate.index: estimate for estimate in estimates}
+    floor_map = registration.floor_map
+    if floor_map is not None:
+        kept = tuple(by_index[estimate.index] for estimate in floor_map.estimates)
+        links = tuple(_scaled(link, scale) for link in floor_map.links)
+        floor_map = replace(floor_map, calibration=calibration, estimates=kept, links=links)
+    return replace(registration, calibration=calibration, estimates=estimates, floor_map=floor_map)
+
+
+def _scaled(link: Link, scale: float) -> Link:
+    """Return a link in metres that are so many times the ones that it was measured in."""
+    motion, metres = link.a_from_b, np.array([scale, scale, 1.0])
+    return replace(
+        link,
+        a_from_b=Pose2(scale * motion.x, scale * motion.y, motion.theta),
+        covariance=link.covariance * np.outer(metres, metres),
+    )
+
+
+def with_range(before: Calibration, calibration: Calibration) -> Calibration:
+    """Return the calibration with its far limit moved as its view of the floor has."""
+    chosen = [
+        projection.choose_max_range(c.camera_matrix, c.image_from_robot, c.image_size)
+        for c in (before, calibration)
+    ]
+    return replace(calibration, max_range_metres=before.max_range_metres * chosen[1] / chosen[0])
+
+
+def told(before: Calibration, after: Calibration) -> str:
+    """Return in words how the camera was changed."""
+    focal = [c.camera_matrix[0, 0] for c in (before, after)]
+    height = [1000.0 * c.height_metres for c in (before, after)]
+    pitch = [math.degrees(c.pitch_radians) for c in (before, after)]
+    roll = [math.degrees(c.roll_radians) for c in (before, after)]
+    lens = [", ".join(f"{k:.4f}" for k in c.distortion[:2]) for c in (before, after)]
+    centre = after.camera_matrix[:2, 2] - before.camera_matrix[:2, 2]
+    return (
+        f"focal length {focal[0]:.1f} to {focal[1]:.1f} ± {after.focal_sigma_pixels:.1f} px, "
+        f"radial distortion {lens[0]} to {lens[1]}, "
+        f"principal point moved by {centre[0]:.1f}, {centre[1]:.1f} px, "
+        f"height {height[0]:.1f} to {height[1]:.1f} mm, "
+        f"pitch {pitch[0]:.2f} to {pitch[1]:.2f} ± {math.degrees(after.pitch_sigma_radians):.2g}°, "
+        f"roll {roll[0]:.2f} to {roll[1]:.2f} ± {math.degrees(after.roll_sigma_radians):.2g}°"
+    )
+
+
+def _carried(
+    estimate: PoseEstimate, before: Mapping[int, PoseEstimate], found: adjustment.Adjustment
+) -> Pose2:
+    """Return a frame's pose moved as the nearest adjusted frame of its map was."""
+    assert estimate.map_from_robot is not None
+    same = [i for i in found.views if before[i].fragment == estimate.fragment]
+    if not same:
+        return estimate.map_from_robot
+    nearest = min(same, key=lambda index: (abs(index - estimate.index), index))
+    known = before[nearest].map_from_robot
+    assert known is not None
+    return found.views[nearest].map_from_robot @ known.inverse() @ estimate.map_from_robot
+
+
+def _scaled_camera(found: adjustment.Adjustment, before: Calibration, scale: float) -> Calibration:
+    """Return the adjusted camera with its height scaled and its sigmas filled in."""
+    calibration = with_range(before, found.calibration)
+    height = scale * calibration.height_metres
+    if not np.any(found.camera_covariance):
+        return before
+    sigmas = np.sqrt(np.diag(found.camera_covariance))
+    return replace(
+        calibration,
+        height_metres=height,
+        max_range_metres=scale * calibration.max_range_metres,
+        robot_from_image=projection.compose_robot_from_image(
+            calibration.camera_matrix, height, calibration.pitch_radians, calibration.roll_radians
+        ),
+        height_sigma_metres=scale * before.height_sigma_metres,
+        focal_sigma_pixels=float(sigmas[0] * calibration.camera_matrix[0, 0]),
+        pitch_sigma_radians=float(sigmas[3]),
+        roll_sigma_radians=float(sigmas[4]),
+    )

@@ -1,0 +1,121 @@
+"""Which spots of the floor two placed frames both show, found in their pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slamcli.core.camera import projection
+from slamcli.core.errors import FrameError
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import Rocking
+from slamcli.stages import adjustment, view
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import Calibration, Frame, Link
+
+Pair = tuple[int, int]
+Read = Callable[[int], "Frame"]
+
+_LEAST_SHARED = 0.2
+# Fewer matches leave a pair to what registration said of it, at so many points, held loosely.
+_FEW_MATCHES = 12
+_LOOSE_SIGMA_PIXELS = 3.0
+_KEPT_PYRAMIDS = 10
+_OVERLAP_STEP = 8
+
+
+class Matcher:
+    """Finds what pairs of frames share; may be shared by threads.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    views : mapping of frame index to View
+        Where the frames stood, as well as is known.
+    links : sequence of Link
+        What a pair is left to that shares few spots.
+    read : callable
+        Returns a frame by its index.
+    coarsest : int
+        Pyramid level to start at.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        views: Mapping[int, adjustment.View],
+        links: Sequence[Link],
+        read: Read,
+        coarsest: int,
+    ) -> None:
+        self._calibration, self._views, self._read = calibration, views, read
+        self._coarsest = coarsest
+        self._links = {(min(link.a, link.b), max(link.a, link.b)): link for link in links}
+        usable = projection.sharpness_image(calibration) > 0.0
+        self._usable = np.where(usable, np.uint8(255), np.uint8(0))
+        self._pyramid = lru_cache(maxsize=_KEPT_PYRAMIDS)(self._make_pyramid)
+
+    def match(self, pair: Pair, count: int) -> adjustment.Matches | None:
+        """Return what two frames share, by up to about `count` spots; None when that is nothing."""
+        a, b = pair
+        views = self._views[a], self._views[b]
+        warp = partial(adjustment.transfer, self._calibration, *views)
+        seen = self._seen(warp)
+        share = np.count_nonzero(seen & self._usable) / np.count_nonzero(self._usable)
+        if share < _LEAST_SHARED and pair not in self._links:
+            return None
+        try:
+            first, second = self._pyramid(a), self._pyramid(b)
+        except FrameError:
+            return None
+        points = adjustment.choose_points(first, seen, count)
+        kept, pixels, whitening = adjustment.track(first, second, points, warp, self._coarsest)
+        if len(kept) >= _FEW_MATCHES:
+            return adjustment.Matches(a, b, points[kept], pixels, whitening)
+        return self._linked(pair, seen) if pair in self._links else None
+
+    def _make_pyramid(self, index: int) -> adjustment.Pyramid:
+        frame = self._read(index)
+        mask = self._usable if frame.mask is None else np.minimum(self._usable, frame.mask)
+        return adjustment.make_pyramid(view.to_gray(frame.image), mask)
+
+    def _seen(
+        self, warp: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    ) -> NDArray[np.uint8]:
+        """Return (H, W) uint8: 255 at pixels of one frame whose floor the other sees."""
+        height, width = self._usable.shape
+        columns, rows = np.meshgrid(
+            np.arange(0, width, _OVERLAP_STEP), np.arange(0, height, _OVERLAP_STEP)
+        )
+        places = warp(np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64))
+        column, row = np.where(np.isfinite(places), places, -1.0).T
+        inside = (column >= 0) & (column <= width - 1) & (row >= 0) & (row <= height - 1)
+        inside[inside] = (
+            self._usable[np.rint(row[inside]).astype(int), np.rint(column[inside]).astype(int)] > 0
+        )
+        coarse = np.where(inside.reshape(columns.shape), np.uint8(255), np.uint8(0))
+        seen = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_NEAREST)
+        return np.asarray(seen, np.uint8)
+
+    def _linked(self, pair: Pair, seen: NDArray[np.uint8]) -> adjustment.Matches | None:
+        """Return a few spots of the floor as the pair's link maps them, held loosely."""
+        rows, columns = np.nonzero(seen & self._usable)
+        if not len(rows):
+            return None
+        corners = [np.argmin(rows + columns), np.argmax(rows + columns)]
+        corners += [np.argmin(rows - columns), np.argmax(rows - columns)]
+        points = np.column_stack([columns[corners], rows[corners]]).astype(np.float64)
+        link = self._links[pair]
+        a_from_b = link.a_from_b if link.a == pair[0] else link.a_from_b.inverse()
+        views = adjustment.View(Pose2(), Rocking()), adjustment.View(a_from_b, Rocking())
+        pixels = adjustment.transfer(self._calibration, *views, points)
+        known = np.isfinite(pixels).all(axis=1)
+        loose = np.tile(np.eye(2) / _LOOSE_SIGMA_PIXELS, (int(known.sum()), 1, 1))
+        return adjustment.Matches(*pair, points[known], pixels[known], loose)

@@ -1,0 +1,152 @@
+"""Floors: textures made block by block from the seed, so that they never end and never repeat.
+
+A block is filtered white noise; the noise of a pixel depends on the seed and its place alone, so
+neighbouring blocks meet without a seam.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from threading import Lock
+from typing import TYPE_CHECKING, Protocol
+
+import cv2
+import numpy as np
+
+from slamcli.core.geometry import Grid
+from slamcli.simulation.floors import course, laid, poured
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+BLOCK_PIXELS = 512
+# Enough for the floor before a robot; older blocks are made again when it comes back.
+_MOST_BLOCKS = 600
+# A camera sees far more floor from afar: of that the small levels, this one on, are kept for long.
+_COARSE_LEVEL, _MOST_COARSE_BLOCKS = 3, 12_000
+_LEVELS = 6
+
+
+class Floor(Protocol):
+    """A texture that can be read anywhere, at any scale."""
+
+    metres_per_pixel: float
+
+    def region(self, grid: Grid) -> NDArray[np.uint8]:
+        """Return (h, w, 3) uint8 BGR of a grid whose resolution is 2^n times the floor's own."""
+
+
+class BlockFloor:
+    """A floor without end, made block by block; may be shared by threads.
+
+    Parameters
+    ----------
+    make_block : callable
+        Of a grid, at the floor's own resolution, to (h, w, 3) uint8 BGR.
+    metres_per_pixel : float
+    """
+
+    def __init__(
+        self, make_block: Callable[[Grid], NDArray[np.uint8]], metres_per_pixel: float
+    ) -> None:
+        self.metres_per_pixel = metres_per_pixel
+        self._make_block = make_block
+        self._lock = Lock()
+        self._blocks: OrderedDict[tuple[int, int], list[NDArray[np.uint8]]] = OrderedDict()
+        self._coarse: OrderedDict[tuple[int, int], list[NDArray[np.uint8]]] = OrderedDict()
+
+    def region(self, grid: Grid) -> NDArray[np.uint8]:
+        """Return (h, w, 3) uint8 BGR of a grid whose resolution is 2^n times the floor's own."""
+        level = round(np.log2(grid.metres_per_pixel / self.metres_per_pixel))
+        side = BLOCK_PIXELS >> level
+        left = round(grid.x_min / grid.metres_per_pixel)
+        top = round(-grid.y_max / grid.metres_per_pixel)
+        image = np.empty((grid.height, grid.width, 3), np.uint8)
+        for row in range(top // side, (top + grid.height - 1) // side + 1):
+            for column in range(left // side, (left + grid.width - 1) // side + 1):
+                y, x = row * side - top, column * side - left
+                rows = slice(max(0, y), min(grid.height, y + side))
+                columns = slice(max(0, x), min(grid.width, x + side))
+                block = self._block((column, row), level)
+                image[rows, columns] = block[
+                    rows.start - y : rows.stop - y, columns.start - x : columns.stop - x
+                ]
+        return image
+
+    def _block(self, key: tuple[int, int], level: int) -> NDArray[np.uint8]:
+        """Return one level of the block at a (column, row)."""
+        first, kept = (_COARSE_LEVEL, self._coarse) if level >= _COARSE_LEVEL else (0, self._blocks)
+        with self._lock:
+            if key in kept:
+                kept.move_to_end(key)
+                return kept[key][level - first]
+        levels = self._pyramid(*key)
+        with self._lock:
+            if not first:
+                _keep(self._blocks, key, levels, _MOST_BLOCKS)
+            _keep(self._coarse, key, levels[_COARSE_LEVEL:], _MOST_COARSE_BLOCKS)
+        return levels[level]
+
+    def _pyramid(self, column: int, row: int) -> list[NDArray[np.uint8]]:
+        """Make a block: its levels, each the plain mean of four pixels below."""
+        span = BLOCK_PIXELS * self.metres_per_pixel
+        grid = Grid(column * span, -row * span, self.metres_per_pixel, BLOCK_PIXELS, BLOCK_PIXELS)
+        levels = [self._make_block(grid)]
+        for _ in range(_LEVELS):
+            half = levels[-1].shape[0] // 2
+            smaller = cv2.resize(levels[-1], (half, half), interpolation=cv2.INTER_AREA)
+            levels.append(np.asarray(smaller, np.uint8))
+        return levels
+
+
+def _keep(
+    kept: OrderedDict[tuple[int, int], list[NDArray[np.uint8]]],
+    key: tuple[int, int],
+    levels: list[NDArray[np.uint8]],
+    most: int,
+) -> None:
+    kept[key] = levels
+    if len(kept) > most:
+        kept.popitem(last=False)
+
+
+def make_floor(kind: str, wear: float, metres_per_pixel: float, seed: int) -> BlockFloor:
+    """Return a floor of a kind in `FLOORS`; `wear` (0 to 1) is how used it is."""
+    make = FLOORS[kind]
+    return BlockFloor(lambda grid: make(grid, wear, seed), metres_per_pixel)
+
+
+def make_wall(wear: float, metres_per_pixel: float, seed: int) -> BlockFloor:
+    """Return what hangs on a wall without end: x along it, y up from the floor."""
+    return BlockFloor(lambda grid: laid.wall(grid, wear, seed), metres_per_pixel)
+
+
+def picture_floor(picture: NDArray[np.uint8], metres_per_pixel: float) -> BlockFloor:
+    """Return a picture (H, W, 3) laid on the floor, centred at the origin, mirrored endlessly."""
+    height, width = picture.shape[:2]
+    mirrored = np.vstack(
+        [np.hstack([picture, picture[:, ::-1]]), np.hstack([picture[::-1], picture[::-1, ::-1]])]
+    )
+
+    def make(grid: Grid) -> NDArray[np.uint8]:
+        left = round(grid.x_min / metres_per_pixel) + width // 2
+        top = round(-grid.y_max / metres_per_pixel) + height // 2
+        rows = np.arange(top, top + grid.height) % (2 * height)
+        columns = np.arange(left, left + grid.width) % (2 * width)
+        return np.ascontiguousarray(mirrored[rows[:, None], columns])
+
+    return BlockFloor(make, metres_per_pixel)
+
+
+FLOORS: dict[str, Callable[[Grid, float, int], NDArray[np.uint8]]] = {
+    "asphalt": poured.asphalt,
+    "bare": poured.bare,
+    "carpet": laid.carpet,
+    "concrete": poured.concrete,
+    "course": course.course,
+    "planks": laid.planks,
+    "terrazzo": poured.terrazzo,
+    "tiles": laid.tiles,
+}

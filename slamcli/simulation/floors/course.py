@@ -1,0 +1,115 @@
+"""The course of the 2015 IEEE SoutheastCon hardware competition, as we draw it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.core.geometry import apply_homography
+from slamcli.simulation.floors.noise import smooth_noise
+from slamcli.simulation.floors.poured import concrete
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.core.geometry import Grid
+
+
+BOARD_METRES = (2.4384, 1.2192)
+SQUARE_METRES = 0.3048
+LINE_METRES = 0.0254
+# The course as we draw it: x along the board from its left end, y from its middle line.
+_LINES = (
+    ((0.45, -0.56), (0.45, 0.56)),
+    ((0.385, 0.0), (0.45, 0.0)),
+    ((0.60, 0.0), (2.25, 0.0)),
+    ((0.60, 0.0), (0.60, -0.56)),
+    ((0.76, 0.0), (0.76, 0.20)),
+    ((1.12, 0.0), (1.12, -0.20)),
+    ((1.42, 0.0), (1.42, 0.20)),
+    ((1.88, 0.0), (1.88, -0.20)),
+    ((2.25, 0.0), (2.25, 0.40)),
+)
+_SQUARES = ((0.08, -0.1524), (0.61, 0.20), (0.97, -0.5048), (1.27, 0.20), (1.73, -0.5048))
+
+
+def course(grid: Grid, wear: float, seed: int) -> NDArray[np.uint8]:
+    """Paint the board on a concrete floor; `wear` 0 is pure black and white."""
+    board = _inside_board(grid)
+    if wear > 0:
+        dark, light = _worn_paints(grid, wear, seed)
+        surround = concrete(grid, wear, seed).astype(np.float32)
+    else:
+        shape = (grid.height, grid.width)
+        dark, light = np.full(shape, 12.0, np.float32), np.full(shape, 235.0, np.float32)
+        surround = np.full((grid.height, grid.width, 3), 12.0, np.float32)
+    paint = _painted(grid)
+    gray = (1.0 - paint) * dark + paint * light
+    tinted = gray[..., None] * np.array((1.03, 1.0, 0.98), np.float32)
+    mixed = board[..., None] * tinted + (1.0 - board[..., None]) * surround
+    return np.asarray(np.clip(np.round(mixed), 0, 255), np.uint8)
+
+
+def _worn_paints(
+    grid: Grid, wear: float, seed: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the black and the white paint, gray (h, w): roller grain, scuffs, seams and dust."""
+    grain = smooth_noise(grid, seed + 21, 0.0012)
+    roller = smooth_noise(grid, seed + 22, 0.003, stretch=6.0)
+    clouds = smooth_noise(grid, seed + 23, 0.05)
+    scuffs = np.maximum(smooth_noise(grid, seed + 24, 0.0012, stretch=14.0) - 2.0, 0.0)
+    dust = np.maximum(smooth_noise(grid, seed + 25, 0.0010) - 2.6, 0.0)
+    scratches = np.maximum(smooth_noise(grid, seed + 26, 0.0015, stretch=3.0) - 2.2, 0.0)
+    chips = np.maximum(smooth_noise(grid, seed + 27, 0.0018) - 2.7, 0.0)
+    column, row = np.meshgrid(np.arange(grid.width), np.arange(grid.height))
+    place = apply_homography(grid.metres_from_pixel, np.dstack([column, row]))
+    seam = np.exp(-(((place[..., 0]) / 0.0012) ** 2)).astype(np.float32)
+    dark = 46 + wear * (5 * grain + 6 * roller + 8 * clouds + 60 * scuffs + 120 * dust)
+    dark += wear * (45 * scratches - 30 * seam)
+    light = 226 + wear * (3 * grain + 4 * roller + 3 * clouds - 50 * scuffs - 70 * scratches)
+    light -= wear * (90 * chips + 40 * seam)
+    return dark.astype(np.float32), light.astype(np.float32)
+
+
+def _inside_board(grid: Grid) -> NDArray[np.float32]:
+    """Return (h, w): how much of each pixel lies on the board, whose centre is the origin."""
+    length, width = BOARD_METRES
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (length / 2, width / 2)
+    return _filled(grid, [corners])
+
+
+def _painted(grid: Grid) -> NDArray[np.float32]:
+    """Return (h, w): how much of each pixel is white paint."""
+    shapes = []
+    for start, end in _LINES:
+        low, high = np.minimum(start, end) - LINE_METRES / 2, np.maximum(start, end)
+        shapes.append(_rectangle(low, high + LINE_METRES / 2))
+    shapes += [_rectangle(np.array(low), np.array(low) + SQUARE_METRES) for low in _SQUARES]
+    middle = np.array([BOARD_METRES[0] / 2, 0.0])
+    return _filled(grid, [shape - middle for shape in shapes])
+
+
+def _rectangle(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array([low, (high[0], low[1]), high, (low[0], high[1])])
+
+
+def _filled(grid: Grid, shapes: list[NDArray[np.float64]]) -> NDArray[np.float32]:
+    """Return the share of each pixel that axis-parallel rectangles cover, exactly."""
+    column, row = np.arange(grid.width), np.arange(grid.height)
+    centres_x = grid.metres_from_pixel[0, 0] * column + grid.metres_from_pixel[0, 2]
+    centres_y = grid.metres_from_pixel[1, 1] * row + grid.metres_from_pixel[1, 2]
+    half = grid.metres_per_pixel / 2
+    covered = np.zeros((grid.height, grid.width))
+    for shape in shapes:
+        low, high = shape.min(axis=0), shape.max(axis=0)
+        across = _overlap(centres_x - half, centres_x + half, low[0], high[0])
+        along = _overlap(centres_y - half, centres_y + half, low[1], high[1])
+        np.maximum(covered, along[:, None] * across / grid.metres_per_pixel**2, out=covered)
+    return covered.astype(np.float32)
+
+
+def _overlap(
+    start: NDArray[np.float64], end: NDArray[np.float64], low: float, high: float
+) -> NDArray[np.float64]:
+    return np.asarray(np.maximum(np.minimum(end, high) - np.maximum(start, low), 0.0))

@@ -1,0 +1,98 @@
+"""How surely pixels tell a motion, from what both views show of the gradients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamcli.core.geometry import invert
+from slamcli.stages.dense import pyramid
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from slamcli.core.geometry import Pose2
+    from slamcli.core.records import DenseLevel
+
+_LEAST_INFORMATION = 1e-8
+_CHANCE_SIGMAS = 2.0
+# The stairs of a line's edge in the camera's pixels, and the blocks of a JPEG, move with the camera
+# and not with the floor: such a share of an edge's gradient along it tells nothing.
+_STAIRS = 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """The motion, and what pitch, roll and height differ by in either frame; (0,) where unknown."""
+
+    a_from_b: Pose2
+    mounting_a: NDArray[np.float64]
+    mounting_b: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """The last step on a level, and what it was made from.
+
+    Attributes
+    ----------
+    state : State
+    jacobian : (N, K) float64
+    pixels, points : (N, 2) float64
+        In b's level and on its floor.
+    residual, weight : (N,) float64
+        Before the step; by what is left over.
+    prior : (K, K) float64
+    """
+
+    state: State
+    jacobian: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+    points: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    prior: NDArray[np.float64]
+
+
+def covariance_of(b: DenseLevel, solved: Solved) -> NDArray[np.float64] | None:
+    """Return the covariance (3, 3) of the motion, from what both views show of the gradients.
+
+    The noise of one view has gradients too, which would pass for knowledge of a motion along a
+    plain line; the product with the other view's, whose noise is another, has none on average.
+    """
+    jacobian, pixels, points, weight = (
+        solved.jacobian,
+        solved.pixels,
+        solved.points,
+        solved.weight,
+    )
+    right, up = pyramid.slopes(b.detail, b.metres_per_pixel)
+    other = np.column_stack([pyramid.sample(right, pixels), pyramid.sample(up, pixels)])
+    both = jacobian.copy()
+    both[:, :2] = -other
+    both[:, 2] = other[:, 0] * points[:, 1] - other[:, 1] * points[:, 0]
+    # About the middle of the overlap turning and moving are told apart.
+    central = np.eye(jacobian.shape[1])
+    middle = points.mean(axis=0)
+    central[:2, 2] = middle[1], -middle[0]
+    first, second = jacobian @ central, both @ central
+    shared = first.T @ (second * weight[:, None])
+    unshared = (first - second).T @ ((first - second) * weight[:, None]) / 2.0
+    scale = 1.0 / np.sqrt(np.maximum(np.sum(first**2 * weight[:, None], axis=0), 1e-12))
+    scales = np.outer(scale, scale)
+    values, vectors = np.linalg.eigh((shared + shared.T) / 2.0 * scales)
+    if not np.isfinite(values).all():
+        return None
+    # The products of the two views' noise, and of either's with what both show, add up by chance
+    # to this; along a direction of which the views show nothing that is all there is.
+    noise = np.einsum("ki,kl,li->i", vectors, unshared * scales, vectors)
+    chance = np.sqrt((2.0 * np.maximum(values, 0.0) * noise + noise**2) / len(points))
+    chance = np.maximum(_CHANCE_SIGMAS * chance, _STAIRS)
+    seen = (vectors * np.maximum(values - chance, 0.0)) @ vectors.T
+    information = (
+        seen + central.T @ solved.prior @ central * scales + _LEAST_INFORMATION * np.eye(len(seen))
+    )
+    covariance = invert(information) * scales
+    return np.asarray((central @ covariance @ central.T)[:3, :3], np.float64)

@@ -1,0 +1,183 @@
+"""What stands on the floor: where two views disagree under the floor's own motion.
+
+A thing that stands up is shown where the ray past it meets the floor, which is another place from
+every other view. The two are compared in small windows, each at the level of the pyramid that the
+camera resolves there in both views: finer detail, of what is far away, disagrees of itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slamcli.core.camera import projection
+from slamcli.core.geometry import apply_homography, invert
+from slamcli.stages.dense import pyramid
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from slamcli.core.records import Calibration, DenseLevel
+
+# Side of a cell, in pixels of the finest level.
+_CELL_PIXELS = 8
+# Of the windows that are compared, pixels of their own level.
+_WINDOW_PIXELS = 5
+# By so much a window may be moved to agree: what a motion, a calibration or a tilt errs by.
+_SHIFT_PIXELS = 1
+# Windows that vary by less than this in both views, or in variance by less than so many times the
+# noise, show the camera's noise.
+_TELLING_GRAY = 4.0
+_TELLING_NOISES = 4.0
+# Of what the two windows show, the difference of unlike ones is all, of like ones next to nothing.
+_UNLIKE_SHARE = 0.25
+# A level serves where the camera's pixels are at most so many of its own.
+_COARSER = 1.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Standing:
+    """Cells of one view that were compared with another.
+
+    Attributes
+    ----------
+    cells_from_metres : (3, 3) float64
+        Robot frame to column and row of a cell; whole numbers are the cells' centres.
+    judged : (h, w) bool
+        Both views show something there.
+    unlike : (h, w) bool
+        And it is not the same: something stands there, in this view or in the other.
+    """
+
+    cells_from_metres: NDArray[np.float64]
+    judged: NDArray[np.bool_]
+    unlike: NDArray[np.bool_]
+
+    def marks(self, points: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return which (N, 2) points of the view, metres, lie on an unlike cell."""
+        column, row = np.rint(apply_homography(self.cells_from_metres, points)).astype(np.int64).T
+        rows, columns = self.unlike.shape
+        marked = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
+        marked[marked] = self.unlike[row[marked], column[marked]]
+        return np.asarray(marked)
+
+
+def standing(
+    levels_a: Sequence[DenseLevel],
+    levels_b: Sequence[DenseLevel],
+    view_a_from_view_b: NDArray[np.float64],
+    calibration: Calibration,
+) -> Standing:
+    """Mark the cells of view a where view b shows something else.
+
+    Parameters
+    ----------
+    levels_a, levels_b : sequence of DenseLevel
+        From `make_levels`, of views of one resolution.
+    view_a_from_view_b : (3, 3) float64
+        Metres to metres, of the floor: a motion, or a `Refinement`'s.
+    calibration : Calibration
+        Of the camera that took both: what it resolves where.
+    """
+    finest = levels_a[0]
+    rows, columns = (-(-side // _CELL_PIXELS) for side in finest.image.shape)
+    middle = (_CELL_PIXELS - 1) / 2
+    pixel_from_cell = np.array(
+        [[_CELL_PIXELS, 0.0, middle], [0.0, _CELL_PIXELS, middle], [0.0, 0.0, 1.0]]
+    )
+    metres_from_cell = invert(finest.pixel_from_metres) @ pixel_from_cell
+    row, column = np.indices((rows, columns))
+    cells = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
+    points = apply_homography(metres_from_cell, cells)
+    resolved = np.maximum(
+        _resolved(calibration, points),
+        _resolved(calibration, apply_homography(invert(view_a_from_view_b), points)),
+    )
+    judged, unlike = np.zeros(len(points), np.bool_), np.zeros(len(points), np.bool_)
+    least = 0.0
+    for a, b in zip(levels_a, levels_b, strict=True):
+        most = _COARSER * a.metres_per_pixel
+        here = (resolved > least) & (resolved <= most)
+        least = most
+        if not here.any():
+            continue
+        telling, share = _compare(a, b, view_a_from_view_b)
+        at_column, at_row = np.rint(apply_homography(a.pixel_from_metres, points[here])).T
+        at_column = np.clip(at_column.astype(np.int64), 0, share.shape[1] - 1)
+        at_row = np.clip(at_row.astype(np.int64), 0, share.shape[0] - 1)
+        judged[here] = telling[at_row, at_column]
+        unlike[here] = judged[here] & (share[at_row, at_column] > _UNLIKE_SHARE)
+    return Standing(
+        invert(metres_from_cell),
+        judged.reshape(rows, columns),
+        _in_company(unlike.reshape(rows, columns)),
+    )
+
+
+def _in_company(unlike: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Leave out cells that no neighbour bears out: a thing is larger than one of them."""
+    around = cv2.boxFilter(
+        unlike.astype(np.uint8), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT
+    )
+    return np.asarray(unlike & (np.asarray(around) > 1))
+
+
+def _resolved(calibration: Calibration, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (N,): metres of floor that one pixel of the camera spans, in its longer direction."""
+    return np.asarray(projection.floor_sampling(calibration, points).max(axis=1), np.float64)
+
+
+def _compare(
+    a: DenseLevel, b: DenseLevel, view_a_from_view_b: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Return which windows of a level tell something, and what share of it differs, at its best.
+
+    The share is of the squares of what both show: 1 for windows that have nothing to do with each
+    other.
+    """
+    b_pixel_from_a_pixel = (
+        b.pixel_from_metres @ invert(view_a_from_view_b) @ invert(a.pixel_from_metres)
+    )
+    size = (a.detail.shape[1], a.detail.shape[0])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    moved = np.asarray(cv2.warpPerspective(b.detail, b_pixel_from_a_pixel, size, flags=flags))
+    seen = np.asarray(cv2.warpPerspective(b.inside, b_pixel_from_a_pixel, size, flags=flags))
+    both = ((seen == 255) & (a.inside == 255)).astype(np.float32)
+    first, reach = a.detail * both, _SHIFT_PIXELS
+    framed = np.pad(moved * both, reach)
+    least = np.full(first.shape, np.inf, np.float32)
+    left = least.copy()
+    height, width = first.shape
+    for down in range(2 * reach + 1):
+        for right in range(2 * reach + 1):
+            second = framed[down : down + height, right : right + width]
+            energy = _mean(first * first) + _mean(second * second)
+            difference = _mean((first - second) ** 2)
+            least = np.minimum(least, difference / np.maximum(energy, np.float32(1e-6)))
+            left = np.minimum(left, difference)
+    whole = _mean(both) > np.float32(0.999)
+    dark = np.asarray(
+        cv2.warpPerspective(b.image, b_pixel_from_a_pixel, size, flags=flags), np.uint8
+    )
+    raised = _mean(pyramid.gain(a.image) ** 2), _mean(pyramid.gain(dark) ** 2)
+    # Most of what both see is floor, where what is left is noise.
+    noise = float(np.median((left / (raised[0] + raised[1]))[whole])) if whole.any() else 0.0
+    telling = np.zeros_like(whole)
+    for shown, times in ((first, raised[0]), (moved * both, raised[1])):
+        least_shown = np.maximum(_TELLING_NOISES * noise * times, np.float32(_TELLING_GRAY**2))
+        telling |= _variance(shown) > least_shown
+    return np.asarray(whole & telling), least
+
+
+def _variance(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(_mean(values * values) - _mean(values) ** 2)
+
+
+def _mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    window = (_WINDOW_PIXELS, _WINDOW_PIXELS)
+    return np.asarray(cv2.blur(values, window, borderType=cv2.BORDER_CONSTANT), np.float32)
