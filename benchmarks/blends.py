@@ -13,27 +13,24 @@ import argparse
 import csv
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from peers import COURSE_START, likeness
 
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import PaintOptions
 from slamcli.core.geometry import Grid, Pose2
-from slamcli.core.records import Calibration, Frame, Shot
+from slamcli.core.records import Frame, Shot
 from slamcli.io.calibrations import load_calibration
 from slamcli.io.frames import list_frames, read_frame
 from slamcli.simulation import floors, photograph
 from slamcli.stages.mosaic import exposure, tiles
 from slamcli.stages.mosaic.blend import BLENDS
+from slamcli.stages.mosaic.exposure import Exposure
 from slamcli.stages.mosaic.painter import Painter
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.stages.mosaic.exposure import Exposure
 
 THINGS_SHARE = 0.15
 # A frame shows something when so much of it differs by more than noise does.

@@ -12,24 +12,18 @@ from __future__ import annotations
 import argparse
 import math
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Frame, Keyframe, PoseEstimate
+from slamcli.core.records import FloorMap, Frame, Keyframe, PoseEstimate
 from slamcli.mapping.localizer import Locator
 from slamcli.mapping.mapper import Mapper
 from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import CameraOptions, DisturbanceOptions
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import FloorMap
 
 CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
 FLOOR_METRES_PER_PIXEL = 0.0005

@@ -24,18 +24,15 @@ import sys
 import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.io.calibrations import load_calibration
 from slamcli.io.frames import list_frames
 from slamcli.simulation import floors, photograph
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 SLAM = (sys.executable, "-m", "slamcli")
 # Where the simulator's course drives start in the floor's own frame.

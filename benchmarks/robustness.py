@@ -12,29 +12,24 @@ import argparse
 import json
 import math
 import os
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise, product
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame
 from slamcli.io.frames import read_image
 from slamcli.mapping.mapper import Mapper
 from slamcli.simulation import drive, floors, photograph
 from slamcli.simulation.config import CameraOptions, DisturbanceOptions
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Calibration
 
 FALSE_METRES, FALSE_DEGREES = 0.05, 2.0
 FLOOR_METRES_PER_PIXEL = 0.0005

@@ -21,7 +21,8 @@ from pathlib import Path
 
 from slamcli.core.config import MapperOptions, PaintOptions, ProductOptions
 from slamcli.run.session.executor import default_workers
-from slamcli.run.stitch import StitchOptions, stitch
+from slamcli.run.stitch import stitch
+from slamcli.run.stitch.options import StitchOptions
 
 PARTS = 10
 

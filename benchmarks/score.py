@@ -13,23 +13,18 @@ import argparse
 import os
 from concurrent.futures import ProcessPoolExecutor
 from itertools import pairwise, product
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from robustness import DISTURBANCES, FRAME_RATE_HERTZ, WORLDS, is_false, take_frames
 from scipy.optimize import minimize
 
+from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame
 from slamcli.mapping.mapper import Mapper
-from slamcli.registration import compare, confidence
+from slamcli.registration import Trial, compare, confidence
 from slamcli.stages import dense
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Pose2
-    from slamcli.registration import Trial
 
 FLOORS = "course,asphalt,carpet,tiles,planks,terrazzo,bare,textureless-course,five-prints"
 KINDS = "none,motion-blur,noise,legs,low-overlap,rocking"

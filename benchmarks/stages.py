@@ -19,33 +19,28 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scale import repeat
 
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Calibration, Shot, Tile
+from slamcli.core.records import Shot, Tile
 from slamcli.io.calibrations import load_calibration, save_calibration
 from slamcli.io.files import write_image
-from slamcli.io.frames import list_frames, read_frame
+from slamcli.io.frames import FrameFile, list_frames, read_frame
 from slamcli.io.raster import png, world_file
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.session.executor import default_workers
 from slamcli.stages import align, dense, features, view
 from slamcli.stages.mosaic import exposure
 from slamcli.stages.mosaic.painter import Painter
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from slamcli.io.frames import FrameFile
 
 IMAGE_SIZE = (1920, 1080)
 STEP_METRES = 0.03

@@ -14,6 +14,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
+    from slamcli.core.camera.calibration import Calibration
     from slamcli.core.config import FeatureOptions, MapperOptions, MatchOptions
     from slamcli.core.errors import (
         CalibrationError,
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
         SlamcliError,
     )
     from slamcli.core.geometry import Grid, Pose2
-    from slamcli.core.records import Calibration, FloorMap, Frame, Link, PoseEstimate
+    from slamcli.core.records import FloorMap, Frame, Link, PoseEstimate
     from slamcli.core.telemetry import (
         CompassReading,
         Georeference,
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
-    "Calibration": "slamcli.core.records",
+    "Calibration": "slamcli.core.camera.calibration",
     "CalibrationError": "slamcli.core.errors",
     "CompassReading": "slamcli.core.telemetry",
     "FeatureOptions": "slamcli.core.config",

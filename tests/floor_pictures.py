@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Grid, Pose2
-from slamcli.core.records import Calibration, View
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from slamcli.core.records import View
 
 SIDE = 600
 

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Intrinsics
 from slamcli.core.geometry import apply_homography, invert
-from slamcli.core.records import Intrinsics
 
 SIDE_METRES = 0.3048
 

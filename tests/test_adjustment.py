@@ -6,19 +6,20 @@ import math
 import tomllib
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from numpy.typing import NDArray
 from trajectories import compare, read_poses
 
 from slamcli.cli.main import main
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration, Rocking
 from slamcli.core.camera.mounting import rocked
 from slamcli.core.geometry import Pose2, apply_homography
-from slamcli.core.records import Rocking
 from slamcli.io.calibrations import Origin, load_calibration, load_origin, save_calibration
 from slamcli.run.calibrate.self_calibration import true_scale
 from slamcli.simulation.config import CameraOptions
@@ -26,13 +27,6 @@ from slamcli.simulation.photograph import make_camera
 from slamcli.stages import adjustment
 from slamcli.stages.adjustment.projection import transfer_with_jacobians
 from slamcli.stages.calibrate import square_target
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Calibration
 
 FREE = np.array([True, True, False, True, True, False, False])
 STILL = np.zeros(3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,17 +14,13 @@ from square_photos import SIDE_METRES, Photo, random_photo, render, rotation
 
 from slamcli.cli.main import main
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.errors import CalibrationError, InputError, OutputError
 from slamcli.core.geometry import apply_homography
 from slamcli.io.calibrations import load_calibration, save_calibration
 from slamcli.run.calibrate import CalibrateOptions
 from slamcli.run.calibrate import calibrate as run_calibrate
 from slamcli.stages import calibrate
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from slamcli.core.records import Calibration
 
 SQUARE = CalibrateOptions(side_metres=SIDE_METRES)
 

@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.errors import CalibrationError
-from slamcli.core.records import Calibration
 from slamcli.io.calibrations import Origin, load_calibration, load_intrinsics, save_calibration
 
 SAMPLES = Path(__file__).resolve().parent.parent / "calibration"

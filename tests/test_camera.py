@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration, DistortionModel
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import Pose2, apply_homography
-from slamcli.core.records import Calibration, DistortionModel
 
 CAMERA_MATRIX = np.array([[600.0, 0.0, 319.5], [0.0, 600.0, 239.5], [0.0, 0.0, 1.0]])
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import distributed
 import pytest
@@ -14,10 +14,8 @@ from slamcli.cli.main import main
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import InputError
 from slamcli.run.session.executor import ordered
-from slamcli.run.stitch import StitchOptions, stitch
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from slamcli.run.stitch import stitch
+from slamcli.run.stitch.options import StitchOptions
 
 FRAMES = 6
 

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import slamcli
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions, MatchOptions
 from slamcli.core.geometry import Pose2, apply_homography
-from slamcli.core.records import Alignment, Calibration, Features, Frame, Prepared
+from slamcli.core.records import Alignment, Features, Frame, Prepared
 from slamcli.registration import compare, refinement
 from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import CameraOptions, DisturbanceOptions

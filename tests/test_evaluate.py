@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import warnings
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +18,6 @@ from slamcli.core.geometry import Pose2, compose_poses, pose_array, relative_pos
 from slamcli.core.trajectory import Trajectory
 from slamcli.io.trajectories import read_trajectory
 from slamcli.stages import evaluation
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def run(*arguments: object) -> Result:

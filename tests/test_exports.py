@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,9 +15,6 @@ from slamcli.core.geometry import Pose2, pose_array, relative_poses
 from slamcli.core.records import Link
 from slamcli.io.g2o import write_g2o, write_links
 from slamcli.io.trajectories import read_trajectory, write_kitti, write_tum
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 POSES = [Pose2(0.3 * i, 0.02 * i * i, 0.9 * i) for i in range(9)]
 

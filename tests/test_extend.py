@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 import tomllib
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,9 +20,6 @@ from slamcli.io.files import write_image
 from slamcli.io.map_file import load_map, save_map
 from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import CameraOptions, DisturbanceOptions
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
 FIRST = [Pose2(0.06 * n) for n in range(8)]

@@ -1,14 +1,11 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from slamcli.core.errors import OutputError
 from slamcli.io.files import output_folder, refuse_existing, write_text
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_a_failed_run_leaves_nothing_behind(tmp_path: Path) -> None:

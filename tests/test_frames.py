@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,9 +12,6 @@ from PIL import Image
 from slamcli.core.errors import FrameError, InputError
 from slamcli.io.frames import list_frames, read_frame, read_image
 from slamcli.stages.view import to_gray
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 RED_LEFT = np.zeros((48, 64, 3), np.uint8)
 RED_LEFT[:, :32] = (0, 0, 200)

@@ -9,7 +9,8 @@ import shutil
 import sys
 import tomllib
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,9 +35,6 @@ from slamcli.simulation.config import CameraOptions, DisturbanceOptions, Simulat
 from slamcli.simulation.drive import geodetic_from_local
 from slamcli.stages import posegraph
 from slamcli.stages.geodesy import LocalPlane
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 DATUM = (29.6436, -82.3549)
 EARTH_FROM_MAP = Pose2(12.0, -7.0, 0.7)

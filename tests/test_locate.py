@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,9 +19,6 @@ from slamcli.io.files import write_image
 from slamcli.io.map_file import load_map, save_map
 from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import CameraOptions, DisturbanceOptions
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
 

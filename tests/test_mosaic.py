@@ -4,26 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 import pytest
 from floor_pictures import asphalt, forward_camera, photograph
+from numpy.typing import NDArray
 
 from slamcli.core.camera import projection
-from slamcli.core.config import PaintOptions
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import Blend, PaintOptions
 from slamcli.core.geometry import Grid, Pose2, apply_homography
-from slamcli.core.records import Frame, Shot
+from slamcli.core.records import Frame, Shot, Tile
 from slamcli.stages.mosaic import blend, exposure, obstacles, sampling, tiles, view_consistency
+from slamcli.stages.mosaic.exposure import Exposure
 from slamcli.stages.mosaic.painter import Painter
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import Blend
-    from slamcli.core.records import Calibration, Tile
-    from slamcli.stages.mosaic.exposure import Exposure
 
 SCALE = 0.001
 FLOOR = asphalt(1400, seed=3)

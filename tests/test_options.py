@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import click
 import pytest
 from click.testing import CliRunner
 
 from slamcli.cli.main import main
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 # What the commands are called with besides the option; files need only be there.
 ARGUMENTS = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,9 +11,6 @@ import pytest
 from PIL import Image
 
 from slamcli.io.raster import png
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.mark.parametrize("cuts", [[], [1], [7, 64, 65]], ids=str)

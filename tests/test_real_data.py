@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +13,6 @@ from trajectories import read_poses, read_rows
 
 from slamcli.cli.main import main
 from slamcli.io.calibrations import load_calibration
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 COURSE_CORNERS = "1242,513 1642,513 1890,570 1342,570"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,9 +18,6 @@ from slamcli.core.geometry import Grid, Pose2
 from slamcli.io.calibrations import load_calibration
 from slamcli.simulation import drive, floors, photograph
 from slamcli.simulation.config import CameraOptions, DisturbanceOptions, SimulationOptions
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SMALL = ["--size", "160x120", "--frames", "3", "--length", "0.3", "--workers", "2"]
 

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pytest
 
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, Prepared
 from slamcli.mapping.backend.backend import Graph
 from slamcli.stages import posegraph
-
-if TYPE_CHECKING:
-    import pytest
 
 SIGMA = 0.0005
 OUT = 700

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from square_photos import Photo, random_photo, render
 
+from slamcli.core.camera.calibration import Intrinsics
 from slamcli.core.errors import CalibrationError
-from slamcli.core.records import Intrinsics
 from slamcli.stages import calibrate
 from slamcli.stages.square import Square, find_squares, refine_square
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def plain_lens(size: tuple[int, int]) -> Intrinsics:

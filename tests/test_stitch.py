@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tomllib
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,9 +16,6 @@ from trajectories import compare, read_poses, read_rows
 
 from slamcli.cli.main import main
 from slamcli.core.geometry import Grid, apply_homography
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 COLUMNS = (
     "index,frame,stamp,status,reason,fragment,x,y,heading,"

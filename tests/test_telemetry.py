@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,9 +14,6 @@ from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading, 
 from slamcli.io import telemetry as files
 from slamcli.io.trajectories import write_tum
 from slamcli.stages import telemetry
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def track(stamps: list[float], poses: list[Pose2], **options: float) -> telemetry.OdometryTrack:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid, Pose2, apply_homography
-from slamcli.core.records import Calibration, Frame, View
+from slamcli.core.records import Frame, View
 from slamcli.simulation import photograph
 from slamcli.simulation.config import CameraOptions
 from slamcli.stages import view

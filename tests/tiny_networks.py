@@ -6,14 +6,12 @@ projections of what lies around them; the matcher pairs what is each other's mos
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SIDE = 256
 COUNT = 300

@@ -105,8 +105,8 @@ def stitch(
     """
     from slamcli.cli.progress import ProgressBar
     from slamcli.run.session.executor import default_workers
-    from slamcli.run.stitch import StitchOptions
     from slamcli.run.stitch import stitch as run_stitch
+    from slamcli.run.stitch.options import StitchOptions
     from slamcli.run.telemetry import TelemetryFiles
 
     resolved = StitchOptions(

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any, Self
+from types import TracebackType
+from typing import Any, Self
 
 import click
 from tqdm import tqdm
-
-if TYPE_CHECKING:
-    from types import TracebackType
 
 _LINES_A_STAGE = 5
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from slamcli.core.errors import InputError
-
-if TYPE_CHECKING:
-    from slamcli.core.networks import MatchNetwork, PointNetwork
+from slamcli.core.networks import MatchNetwork, PointNetwork
 
 FeatureMethod = Literal["orb", "sift", "aliked", "disk"]
 TransformModel = Literal["rigid", "similarity", "affine", "homography"]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike, NDArray
+from slamcli.core.arrays import Float64Array
 
 
 def wrap_angle(angle_radians: float) -> float:
@@ -19,12 +18,12 @@ def wrap_angle(angle_radians: float) -> float:
     return (angle_radians + math.pi) % math.tau - math.pi
 
 
-def invert(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def invert(matrix: Float64Array) -> Float64Array:
     """Return the inverse of a square matrix; raises numpy's LinAlgError when it is singular."""
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
-def apply_homography(b_from_a: NDArray[np.float64], points: ArrayLike) -> NDArray[np.float64]:
+def apply_homography(b_from_a: Float64Array, points: ArrayLike) -> Float64Array:
     """Map points through a plane projective transform.
 
     Parameters
@@ -88,7 +87,7 @@ class Pose2:
         )
 
     @property
-    def matrix(self) -> NDArray[np.float64]:
+    def matrix(self) -> Float64Array:
         """The motion as a (3, 3) homogeneous matrix."""
         cosine, sine = math.cos(self.theta), math.sin(self.theta)
         return np.array([[cosine, -sine, self.x], [sine, cosine, self.y], [0.0, 0.0, 1.0]])
@@ -99,7 +98,7 @@ class Pose2:
         return math.hypot(self.x, self.y)
 
     @classmethod
-    def from_matrix(cls, matrix: NDArray[np.float64]) -> Self:
+    def from_matrix(cls, matrix: Float64Array) -> Self:
         """Return the pose of a (3, 3) matrix whose upper left block is a rotation."""
         return cls(
             float(matrix[0, 2]),
@@ -107,7 +106,7 @@ class Pose2:
             math.atan2(float(matrix[1, 0]), float(matrix[0, 0])),
         )
 
-    def apply(self, points: ArrayLike) -> NDArray[np.float64]:
+    def apply(self, points: ArrayLike) -> Float64Array:
         """Map (..., 2) points in b to (..., 2) points in a, both in metres."""
         return apply_homography(self.matrix, points)
 
@@ -159,7 +158,7 @@ class Grid:
         return self.y_max - self.height * self.metres_per_pixel
 
     @property
-    def metres_from_pixel(self) -> NDArray[np.float64]:
+    def metres_from_pixel(self) -> Float64Array:
         """(3, 3): pixel centre (column, row) to metres (x, y)."""
         scale = self.metres_per_pixel
         return np.array(
@@ -171,13 +170,13 @@ class Grid:
         )
 
     @property
-    def metres_from_corner(self) -> NDArray[np.float64]:
+    def metres_from_corner(self) -> Float64Array:
         """(3, 3): as `metres_from_pixel`, but whole numbers at pixels' upper left corners."""
         scale = self.metres_per_pixel
         return np.array([[scale, 0.0, self.x_min], [0.0, -scale, self.y_max], [0.0, 0.0, 1.0]])
 
     @property
-    def pixel_from_metres(self) -> NDArray[np.float64]:
+    def pixel_from_metres(self) -> Float64Array:
         """(3, 3): metres (x, y) to pixel (column, row), whole numbers at pixel centres."""
         scale = 1.0 / self.metres_per_pixel
         return np.array(
@@ -189,7 +188,7 @@ class Grid:
         )
 
     @property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Float64Array:
         """(4, 2) metres: lower left, lower right, upper right, upper left outer corner."""
         return np.array(
             [
@@ -211,12 +210,12 @@ class Grid:
         )
 
 
-def pose_array(poses: Sequence[Pose2]) -> NDArray[np.float64]:
+def pose_array(poses: Sequence[Pose2]) -> Float64Array:
     """Return poses as (N, 3): x, y (m), theta (rad)."""
     return np.array([(pose.x, pose.y, pose.theta) for pose in poses], np.float64).reshape(-1, 3)
 
 
-def compose_poses(a_from_b: ArrayLike, b_from_c: ArrayLike) -> NDArray[np.float64]:
+def compose_poses(a_from_b: ArrayLike, b_from_c: ArrayLike) -> Float64Array:
     """Return ``a_from_c`` of (..., 3) poses x, y, theta, row by row; theta in [-pi, pi)."""
     first = np.asarray(a_from_b, dtype=np.float64)
     second = np.asarray(b_from_c, dtype=np.float64)
@@ -227,7 +226,7 @@ def compose_poses(a_from_b: ArrayLike, b_from_c: ArrayLike) -> NDArray[np.float6
     return np.stack([x, y, theta], axis=-1)
 
 
-def relative_poses(c_from_a: ArrayLike, c_from_b: ArrayLike) -> NDArray[np.float64]:
+def relative_poses(c_from_a: ArrayLike, c_from_b: ArrayLike) -> Float64Array:
     """Return ``a_from_b`` of (..., 3) poses x, y, theta, row by row; theta in [-pi, pi)."""
     first = np.asarray(c_from_a, dtype=np.float64)
     second = np.asarray(c_from_b, dtype=np.float64)
@@ -237,13 +236,11 @@ def relative_poses(c_from_a: ArrayLike, c_from_b: ArrayLike) -> NDArray[np.float
     return np.stack([cosine * x + sine * y, cosine * y - sine * x, theta], axis=-1)
 
 
-def covariance_in_map(
-    map_from_robot: Pose2, covariance: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def covariance_in_map(map_from_robot: Pose2, covariance: Float64Array) -> Float64Array:
     """Return a pose's (3, 3) covariance, given in the robot's own axes, in those of the map."""
     turn = np.eye(3)
     turn[:2, :2] = map_from_robot.matrix[:2, :2]
-    turned: NDArray[np.float64] = turn @ covariance @ turn.T
+    turned: Float64Array = turn @ covariance @ turn.T
     return turned
 
 

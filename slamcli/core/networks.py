@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+from slamcli.core.arrays import Float32Array, Float64Array, Int32Array, UInt8Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,9 +20,9 @@ class NetworkPoints:
     descriptors : (N, D) float32
     """
 
-    pixels: NDArray[np.float64]
-    scores: NDArray[np.float32]
-    descriptors: NDArray[np.float32]
+    pixels: Float64Array
+    scores: Float32Array
+    descriptors: Float32Array
 
 
 class PointNetwork(Protocol):
@@ -34,7 +32,7 @@ class PointNetwork(Protocol):
     def size(self) -> tuple[int, int]:
         """Width and height of the pictures that it takes, pixels."""
 
-    def find(self, image: NDArray[np.uint8]) -> NetworkPoints:
+    def find(self, image: UInt8Array) -> NetworkPoints:
         """Return the points of an (h, w, 3) BGR picture of its size; raises FrameError."""
 
 
@@ -43,11 +41,11 @@ class MatchNetwork(Protocol):
 
     def match(
         self,
-        places_a: NDArray[np.float32],
-        places_b: NDArray[np.float32],
-        descriptors_a: NDArray[np.float32],
-        descriptors_b: NDArray[np.float32],
-    ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        places_a: Float32Array,
+        places_b: Float32Array,
+        descriptors_a: Float32Array,
+        descriptors_b: Float32Array,
+    ) -> tuple[Int32Array, Float32Array]:
         """Return (M, 2) pairs of indices and (M,) distances; raises InputError.
 
         Parameters

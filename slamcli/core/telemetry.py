@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.errors import InputError
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Pose2
+from slamcli.core.geometry import Pose2
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +146,7 @@ class Georeference:
 
     datum_degrees: tuple[float, float]
     east_north_from_map: Pose2
-    covariance: NDArray[np.float64]
+    covariance: Float64Array
     lever_arm_metres: tuple[float, float]
     readings: int
     outliers: int

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Pose2
+from slamcli.core.arrays import Float64Array, Int64Array
+from slamcli.core.geometry import Pose2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,11 +29,11 @@ class Trajectory:
         How many frames the file tells of that have no pose.
     """
 
-    poses: NDArray[np.float64]
-    stamps: NDArray[np.float64] | None
+    poses: Float64Array
+    stamps: Float64Array | None
     names: tuple[str, ...] | None
-    fragments: NDArray[np.int64]
-    sigmas: NDArray[np.float64] | None
+    fragments: Int64Array
+    sigmas: Float64Array | None
     unplaced: int = 0
 
     def __len__(self) -> int:

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import BoolArray, Float64Array, UInt8Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Grid, apply_homography
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Calibration, View
+from slamcli.core.records import View
 
 PANEL_HEIGHT_PIXELS = 760
 _MOST_PHOTO_WIDTH_PIXELS = 1150
@@ -34,7 +30,7 @@ _UNSEEN_GRAY = 235
 _SUBPIXEL_BITS = 4
 
 
-def birdseye_grid(calibration: Calibration, corners: NDArray[np.float64]) -> Grid:
+def birdseye_grid(calibration: Calibration, corners: Float64Array) -> Grid:
     """Return the raster, robot frame, that shows the kept floor and the target in one panel.
 
     Parameters
@@ -52,12 +48,12 @@ def birdseye_grid(calibration: Calibration, corners: NDArray[np.float64]) -> Gri
 
 
 def draw_calibration(
-    photo: NDArray[np.uint8],
-    outline: NDArray[np.float64],
+    photo: UInt8Array,
+    outline: Float64Array,
     calibration: Calibration,
     birdseye: View,
     caption: Sequence[str],
-) -> NDArray[np.uint8]:
+) -> UInt8Array:
     """Return the photo, what is dropped shaded, beside the bird's-eye view under a metric grid.
 
     Parameters
@@ -90,9 +86,7 @@ def draw_calibration(
     return canvas
 
 
-def _draw_photo(
-    photo: NDArray[np.uint8], outline: NDArray[np.float64], calibration: Calibration
-) -> NDArray[np.uint8]:
+def _draw_photo(photo: UInt8Array, outline: Float64Array, calibration: Calibration) -> UInt8Array:
     """Shade what is not used, and draw the target, the far limit and the horizon."""
     height, width = photo.shape[:2]
     factor = min(PANEL_HEIGHT_PIXELS / height, _MOST_PHOTO_WIDTH_PIXELS / width)
@@ -115,9 +109,7 @@ def _draw_photo(
     return canvas
 
 
-def _draw_floor(
-    outline: NDArray[np.float64], calibration: Calibration, birdseye: View
-) -> NDArray[np.uint8]:
+def _draw_floor(outline: Float64Array, calibration: Calibration, birdseye: View) -> UInt8Array:
     """Turn the view so that the robot looks up the page, and lay the metric grid over it."""
     grid = birdseye.grid
     lattice = np.meshgrid(np.arange(grid.width), np.arange(grid.height))
@@ -150,13 +142,13 @@ def _draw_floor(
     return canvas
 
 
-def _hazed(image: NDArray[np.uint8], where: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _hazed(image: UInt8Array, where: BoolArray) -> UInt8Array:
     hazed = image.copy()
     hazed[where] = (0.45 * image[where] + 0.55 * np.array(_HAZE)).astype(np.uint8)
     return hazed
 
 
-def _kept_pixels(calibration: Calibration, size: tuple[int, int]) -> NDArray[np.bool_]:
+def _kept_pixels(calibration: Calibration, size: tuple[int, int]) -> BoolArray:
     """Return (h, w), at the drawn size, whether a pixel shows floor within the far limit."""
     width, height = calibration.image_size
     columns, rows = np.meshgrid(
@@ -168,11 +160,11 @@ def _kept_pixels(calibration: Calibration, size: tuple[int, int]) -> NDArray[np.
     floor = apply_homography(calibration.robot_from_image, pixels)
     with np.errstate(invalid="ignore"):
         near = np.hypot(floor[:, 0], floor[:, 1]) <= calibration.max_range_metres
-    kept: NDArray[np.bool_] = (near & (depth > 0)).reshape(size[1], size[0])
+    kept: BoolArray = (near & (depth > 0)).reshape(size[1], size[0])
     return kept
 
 
-def _horizon(calibration: Calibration) -> NDArray[np.float64]:
+def _horizon(calibration: Calibration) -> Float64Array:
     """Return (N, 2) pixels of the photo along the floor's line at infinity, where it shows."""
     a, b, c = calibration.robot_from_image[2]
     width, height = calibration.image_size
@@ -186,15 +178,13 @@ def _horizon(calibration: Calibration) -> NDArray[np.float64]:
     return pixels[(pixels[:, 1] >= 0) & (pixels[:, 1] < height)]
 
 
-def _page_pixels(
-    grid: Grid, points: NDArray[np.float64] | Sequence[tuple[float, float]]
-) -> NDArray[np.float64]:
+def _page_pixels(grid: Grid, points: Float64Array | Sequence[tuple[float, float]]) -> Float64Array:
     """Map floor metres to pixels of the view turned by a quarter counter-clockwise."""
     pixels = apply_homography(grid.pixel_from_metres, points)
     return np.column_stack([pixels[:, 1], grid.width - 1 - pixels[:, 0]])
 
 
-def _label_place(kept: NDArray[np.bool_]) -> tuple[int, int]:
+def _label_place(kept: BoolArray) -> tuple[int, int]:
     rows = np.flatnonzero(kept.any(axis=1))
     if not len(rows):
         return 8, 20
@@ -213,8 +203,8 @@ def _round_step(least: float) -> float:
 
 
 def _polyline(
-    canvas: NDArray[np.uint8],
-    points: NDArray[np.float64],
+    canvas: UInt8Array,
+    points: Float64Array,
     colour: tuple[int, int, int],
     *,
     closed: bool,
@@ -224,13 +214,13 @@ def _polyline(
     cv2.polylines(canvas, [fixed[:, None]], closed, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def _ring(canvas: NDArray[np.uint8], place: NDArray[np.float64]) -> None:
+def _ring(canvas: UInt8Array, place: Float64Array) -> None:
     column, row = (round(float(value) * 2**_SUBPIXEL_BITS) for value in place)
     radius = 8 * 2**_SUBPIXEL_BITS
     cv2.circle(canvas, (column, row), radius, _SQUARE, 2, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def _label(canvas: NDArray[np.uint8], text: str, place: tuple[int, int]) -> None:
+def _label(canvas: UInt8Array, text: str, place: tuple[int, int]) -> None:
     """Write on a light tag, readable on any floor."""
     (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)
     column, row = place
@@ -239,5 +229,5 @@ def _label(canvas: NDArray[np.uint8], text: str, place: tuple[int, int]) -> None
     _write(canvas, text, place)
 
 
-def _write(canvas: NDArray[np.uint8], text: str, place: tuple[int, int]) -> None:
+def _write(canvas: UInt8Array, text: str, place: tuple[int, int]) -> None:
     cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, _INK, 1, cv2.LINE_AA)

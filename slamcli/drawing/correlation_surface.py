@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from slamcli.core.arrays import Float32Array, UInt8Array
 
 _SIDE_PIXELS = 480
 _LABEL_COLOUR = (255, 255, 255)
 _BEST_COLOUR = (255, 255, 255)
 
 
-def draw_surface(surface: NDArray[np.float32], metres_per_pixel: float) -> NDArray[np.uint8]:
+def draw_surface(surface: Float32Array, metres_per_pixel: float) -> UInt8Array:
     """Return the score of every translation, the best over all turns, from dark (0) to bright (1).
 
     Parameters

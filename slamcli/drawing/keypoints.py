@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Keypoints
+from slamcli.core.arrays import BoolArray, Float64Array, UInt8Array
+from slamcli.core.records import Keypoints
 
 _LEVEL_COLOURS = ((60, 220, 60), (60, 220, 220), (60, 160, 255), (220, 120, 255))
 _CLEANED_COLOUR = (200, 60, 0)
@@ -22,11 +19,11 @@ _TEXT_HEIGHT = 22
 
 
 def draw_keypoints(
-    image: NDArray[np.uint8],
+    image: UInt8Array,
     keypoints: Keypoints,
-    cleaned: NDArray[np.bool_],
-    outside: NDArray[np.bool_],
-) -> NDArray[np.uint8]:
+    cleaned: BoolArray,
+    outside: BoolArray,
+) -> UInt8Array:
     """Return the picture with each point as a circle of its size and a stroke along its angle.
 
     Parameters
@@ -71,6 +68,6 @@ def draw_keypoints(
     return np.vstack([header, canvas])
 
 
-def _fixed_point(pixel: NDArray[np.float64]) -> tuple[int, int]:
+def _fixed_point(pixel: Float64Array) -> tuple[int, int]:
     """Return a place with the fraction of a pixel that OpenCV's drawing takes as an integer."""
     return round(float(pixel[0]) * 2**_SHIFT), round(float(pixel[1]) * 2**_SHIFT)

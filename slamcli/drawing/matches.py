@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import BoolArray, Float64Array, UInt8Array
 from slamcli.core.geometry import apply_homography
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 _INLIER_COLOUR = (60, 200, 40)
 _OUTLIER_COLOUR = (70, 70, 230)
@@ -29,14 +25,14 @@ _SHIFT = 4
 
 
 def draw_matches(
-    first: NDArray[np.uint8],
-    second: NDArray[np.uint8],
-    points_first: NDArray[np.float64],
-    points_second: NDArray[np.float64],
-    inliers: NDArray[np.bool_],
-    second_from_first: NDArray[np.float64] | None,
+    first: UInt8Array,
+    second: UInt8Array,
+    points_first: Float64Array,
+    points_second: Float64Array,
+    inliers: BoolArray,
+    second_from_first: Float64Array | None,
     header: Sequence[str],
-) -> NDArray[np.uint8]:
+) -> UInt8Array:
     """Return the first picture, the second, and the second with the first laid upon it.
 
     Parameters
@@ -74,8 +70,8 @@ def draw_matches(
 
 
 def _laid_upon(
-    first: NDArray[np.uint8], second: NDArray[np.uint8], second_from_first: NDArray[np.float64]
-) -> NDArray[np.uint8]:
+    first: UInt8Array, second: UInt8Array, second_from_first: Float64Array
+) -> UInt8Array:
     """Return the second picture, half of it the first warped, with the first's outline."""
     size = (second.shape[1], second.shape[0])
     warped = cv2.warpPerspective(first, second_from_first, size, flags=cv2.INTER_AREA)
@@ -103,22 +99,22 @@ def _laid_upon(
     return np.asarray(canvas, np.uint8)
 
 
-def _scale(panels: Sequence[NDArray[np.uint8]]) -> float:
+def _scale(panels: Sequence[UInt8Array]) -> float:
     columns = sum(panel.shape[1] for panel in panels) + _GAP * (len(panels) - 1)
     rows = max(panel.shape[0] for panel in panels)
     return float(min(max(1.0, _LEAST_PANEL_HEIGHT / rows), _MOST_COLUMNS / columns))
 
 
-def _resized(image: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
+def _resized(image: UInt8Array, scale: float) -> UInt8Array:
     size = (max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale)))
     method = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, size, interpolation=method), np.uint8)
 
 
 def _draw_lines(
-    canvas: NDArray[np.uint8],
-    starts: NDArray[np.float64],
-    ends: NDArray[np.float64],
+    canvas: UInt8Array,
+    starts: Float64Array,
+    ends: Float64Array,
     colour: tuple[int, int, int],
     thickness: int,
 ) -> None:
@@ -130,7 +126,7 @@ def _draw_lines(
             cv2.circle(canvas, place, 3, colour, thickness, cv2.LINE_AA)
 
 
-def _text(lines: Sequence[str], width: int) -> NDArray[np.uint8]:
+def _text(lines: Sequence[str], width: int) -> UInt8Array:
     header = np.full((_LINE_HEIGHT * len(lines) + 8, width, 3), _BACKGROUND_GRAY, np.uint8)
     for number, line in enumerate(lines):
         (columns, _), _ = cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, 0.6, 1)

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from slamcli.core.arrays import BoolArray, Float64Array, UInt8Array
 
 _TINT = np.array([40.0, 40.0, 255.0])
 _SHARE = 0.5
 
 
 def draw_standing(
-    image: NDArray[np.uint8], cells: NDArray[np.bool_], cells_from_pixel: NDArray[np.float64]
-) -> NDArray[np.uint8]:
+    image: UInt8Array, cells: BoolArray, cells_from_pixel: Float64Array
+) -> UInt8Array:
     """Return the picture with the marked cells tinted.
 
     Parameters

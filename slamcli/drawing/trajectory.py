@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import Float64Array, UInt8Array
+from slamcli.core.camera.calibration import Unit
 from slamcli.core.geometry import Grid, apply_homography
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import PoseEstimate, Unit
+from slamcli.core.records import PoseEstimate
 
 LONGEST_SIDE_PIXELS = 1600
 _MARGIN_SHARE = 0.04
@@ -27,12 +23,12 @@ _MOST_LABELS = 12
 
 
 def draw_trajectory(
-    image: NDArray[np.uint8],
-    mask: NDArray[np.uint8],
+    image: UInt8Array,
+    mask: UInt8Array,
     grid: Grid,
     estimates: Sequence[PoseEstimate],
     unit: Unit,
-) -> NDArray[np.uint8]:
+) -> UInt8Array:
     """Return the map, paled, with the robot's path, some frame numbers, the start and a scale bar.
 
     Parameters
@@ -70,16 +66,14 @@ def draw_trajectory(
     return canvas
 
 
-def _grid_around(points: NDArray[np.float64]) -> Grid:
+def _grid_around(points: Float64Array) -> Grid:
     low, high = points.min(axis=0), points.max(axis=0)
     margin = _MARGIN_SHARE * float((high - low).max())
     corners = np.array([low - margin, high + margin])
     return Grid.covering(corners, float(np.ptp(corners, axis=0).max()) / LONGEST_SIDE_PIXELS)
 
 
-def _paled(
-    image: NDArray[np.uint8], mask: NDArray[np.uint8], grid: Grid, view_grid: Grid
-) -> NDArray[np.uint8]:
+def _paled(image: UInt8Array, mask: UInt8Array, grid: Grid, view_grid: Grid) -> UInt8Array:
     """Return the map at the drawing's scale, halfway to the background so that lines stand out."""
     shown = np.full_like(image, _BACKGROUND_GRAY)
     cv2.copyTo(image, mask, shown)
@@ -96,7 +90,7 @@ def _paled(
     return canvas
 
 
-def _draw_scale_bar(canvas: NDArray[np.uint8], grid: Grid, unit: Unit) -> None:
+def _draw_scale_bar(canvas: UInt8Array, grid: Grid, unit: Unit) -> None:
     widest = 0.25 * grid.width * grid.metres_per_pixel
     power = 10.0 ** math.floor(math.log10(widest))
     length = power * max(step for step in (1, 2, 5) if step * power <= widest)
@@ -108,12 +102,12 @@ def _draw_scale_bar(canvas: NDArray[np.uint8], grid: Grid, unit: Unit) -> None:
     _write(canvas, f"{length:g} {unit}", (left, bottom - 12))
 
 
-def _write(canvas: NDArray[np.uint8], text: str, place: tuple[int, int]) -> None:
+def _write(canvas: UInt8Array, text: str, place: tuple[int, int]) -> None:
     """Write dark on a light halo, readable on any floor."""
     halo = (_BACKGROUND_GRAY,) * 3
     cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, halo, 4, cv2.LINE_AA)
     cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, _TEXT_COLOUR, 1, cv2.LINE_AA)
 
 
-def _rounded(pixel: NDArray[np.float64]) -> tuple[int, int]:
+def _rounded(pixel: Float64Array) -> tuple[int, int]:
     return round(float(pixel[0])), round(float(pixel[1]))

@@ -5,19 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 import yaml
+from numpy.typing import ArrayLike
 
+from slamcli.core.arrays import Float64Array
+from slamcli.core.camera.calibration import Calibration, DistortionModel, Intrinsics
 from slamcli.core.camera.mounting import compose_robot_from_image
 from slamcli.core.errors import CalibrationError, InputError
 from slamcli.core.geometry import apply_homography
-from slamcli.core.records import Calibration, DistortionModel, Intrinsics
 from slamcli.io.files import read_text, write_text
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
 
 FORMAT_VERSION = 1
 _COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
@@ -46,7 +45,7 @@ class Origin:
     photo: str
     target: str
     side_metres: float
-    corners: NDArray[np.float64]
+    corners: Float64Array
 
 
 def load_calibration(path: str | Path) -> Calibration:
@@ -197,7 +196,7 @@ def _origin_lines(origin: Origin | None) -> list[str]:
     ]
 
 
-def _matrix_lines(name: str, matrix: NDArray[np.float64], indent: str = "") -> list[str]:
+def _matrix_lines(name: str, matrix: Float64Array, indent: str = "") -> list[str]:
     """Return rows, cols and data as camera_info has them, one line of numbers a matrix row."""
     rows, columns = matrix.shape
     opening = f"{indent}  data: ["
@@ -270,8 +269,8 @@ def _parse_intrinsics(document: dict[str, Any], path: Path) -> Intrinsics:
 
 
 def _check_agreement(
-    stored: NDArray[np.float64],
-    composed: NDArray[np.float64],
+    stored: Float64Array,
+    composed: Float64Array,
     image_size: tuple[int, int],
     path: Path,
 ) -> None:
@@ -311,9 +310,7 @@ def _whole(section: dict[str, Any], key: str, path: Path) -> int:
     return int(value)
 
 
-def _matrix(
-    section: dict[str, Any], key: str, shape: tuple[int, int], path: Path
-) -> NDArray[np.float64]:
+def _matrix(section: dict[str, Any], key: str, shape: tuple[int, int], path: Path) -> Float64Array:
     numbers = _numbers(section, key, path)
     if len(numbers) != shape[0] * shape[1]:
         raise CalibrationError(
@@ -322,7 +319,7 @@ def _matrix(
     return numbers.reshape(shape)
 
 
-def _numbers(section: dict[str, Any], key: str, path: Path) -> NDArray[np.float64]:
+def _numbers(section: dict[str, Any], key: str, path: Path) -> Float64Array:
     """Return the flat data of a matrix, in camera_info's form or as plain nested lists."""
     if key not in section:
         raise CalibrationError(f"{path}: {key} is missing")
@@ -334,7 +331,7 @@ def _numbers(section: dict[str, Any], key: str, path: Path) -> NDArray[np.float6
     return _array(value, key, path).reshape(-1)
 
 
-def _array(value: ArrayLike, key: str, path: Path) -> NDArray[np.float64]:
+def _array(value: ArrayLike, key: str, path: Path) -> Float64Array:
     try:
         if isinstance(value, bool | str) or value is None:
             raise TypeError

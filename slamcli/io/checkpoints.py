@@ -6,15 +6,13 @@ import hashlib
 import io
 import pickle
 import shutil
-from typing import TYPE_CHECKING, Any, Self
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
 
 from slamcli.core.errors import OutputError, SlamcliError
 from slamcli.io.files import write_bytes, write_text
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-    from types import TracebackType
 
 _FOLDER = ".resume"
 _KEY, _STATE = "run.txt", "mapper.pickle"

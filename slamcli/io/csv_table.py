@@ -6,16 +6,12 @@ import csv
 import io
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.errors import InputError
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 # Of a column of angles in degrees; its name says so.
 _DEGREES = ("_degrees", "_deg")
@@ -61,7 +57,7 @@ class Table:
             f"{self.path} has no column {names[0]}; its header is {', '.join(self.header)}"
         )
 
-    def numbers(self, names: tuple[str, ...], *, blank: bool = False) -> NDArray[np.float64]:
+    def numbers(self, names: tuple[str, ...], *, blank: bool = False) -> Float64Array:
         """Return a column as (N,) float64; an empty field is nan where `blank` allows it.
 
         Raises
@@ -84,7 +80,7 @@ class Table:
                 )
         return values
 
-    def angles(self, names: tuple[str, ...], *, blank: bool = False) -> NDArray[np.float64]:
+    def angles(self, names: tuple[str, ...], *, blank: bool = False) -> Float64Array:
         """Return a column of angles as (N,) float64 radians; `name`_degrees is converted."""
         degrees = tuple(name + ending for name in names for ending in _DEGREES)
         if not self.has(names) and self.has(degrees):

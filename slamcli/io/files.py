@@ -5,19 +5,14 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 
+from slamcli.core.arrays import UInt8Array
 from slamcli.core.errors import InputError, OutputError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from pathlib import Path
-
-    import numpy as np
-    from numpy.typing import NDArray
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -51,7 +46,7 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def write_image(path: Path, image: NDArray[np.uint8], *, jpeg_quality: int = 95) -> None:
+def write_image(path: Path, image: UInt8Array, *, jpeg_quality: int = 95) -> None:
     """Write gray, BGR or BGRA pixels; the format follows the name's suffix (.png, .jpg).
 
     A fast PNG compression is chosen, of differences from row to row: 5 % larger than at level 3, in

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 import imageio.v3 as imageio
 import numpy as np
 
+from slamcli.core.arrays import BoolArray, UInt8Array
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.records import Frame
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
@@ -108,7 +104,7 @@ def read_frame(file: FrameFile, *, gray: bool = False, halved: bool = False) -> 
     return Frame(file.index, file.name, file.stamp, image, mask)
 
 
-def read_reduced_gray(file: FrameFile) -> NDArray[np.uint8]:
+def read_reduced_gray(file: FrameFile) -> UInt8Array:
     """Return the frame as (h, w) gray of a quarter of its size, quickly; raises FrameError."""
     try:
         data = np.frombuffer(file.path.read_bytes(), np.uint8)
@@ -122,7 +118,7 @@ def read_reduced_gray(file: FrameFile) -> NDArray[np.uint8]:
     return np.asarray(small, dtype=np.uint8)
 
 
-def read_image(path: Path) -> NDArray[np.uint8]:
+def read_image(path: Path) -> UInt8Array:
     """Return a picture as (H, W, 3) uint8 BGR, turned as its EXIF orientation says.
 
     16-bit samples are cut to their upper 8 bits, gray is repeated, CMYK converted, and
@@ -160,9 +156,7 @@ def _stamp(path: Path, index: int, frame_rate: float | None) -> float | None:
     return None if frame_rate is None else index / frame_rate
 
 
-def _decode(
-    path: Path, kind: int = cv2.IMREAD_COLOR_BGR
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
+def _decode(path: Path, kind: int = cv2.IMREAD_COLOR_BGR) -> tuple[UInt8Array, UInt8Array | None]:
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -191,7 +185,7 @@ def _ends_whole(data: bytes) -> bool:
     return True
 
 
-def _decode_strictly(data: bytes, times: int) -> NDArray[np.uint8]:
+def _decode_strictly(data: bytes, times: int) -> UInt8Array:
     """Decode by Pillow, which refuses a file that ends too soon; raises FrameError.
 
     The picture comes so many times smaller.
@@ -208,7 +202,7 @@ def _decode_strictly(data: bytes, times: int) -> NDArray[np.uint8]:
     return np.ascontiguousarray(np.asarray(small, np.uint8)[..., ::-1])
 
 
-def _transparency(data: bytes) -> NDArray[np.uint8] | None:
+def _transparency(data: bytes) -> UInt8Array | None:
     """Return the alpha channel of a PNG that has one which hides something."""
     # Byte 25 of a PNG is its colour type; 4 and 6 carry alpha. Others spare a second decode.
     if not data.startswith(b"\x89PNG") or len(data) < 26 or data[25] not in {4, 6}:
@@ -217,5 +211,5 @@ def _transparency(data: bytes) -> NDArray[np.uint8] | None:
     if decoded is None or decoded.ndim != 3 or decoded.shape[2] != 4:
         return None
     alpha = np.asarray(decoded)[..., 3]
-    opaque: NDArray[np.bool_] = np.asarray(alpha == (65535 if alpha.dtype == np.uint16 else 255))
+    opaque: BoolArray = np.asarray(alpha == (65535 if alpha.dtype == np.uint16 else 255))
     return None if opaque.all() else np.where(opaque, np.uint8(255), np.uint8(0))

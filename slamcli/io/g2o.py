@@ -5,19 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Container, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
-from slamcli.core.geometry import invert
+from slamcli.core.geometry import Pose2, invert
+from slamcli.core.records import Link
 from slamcli.io.files import write_text
-
-if TYPE_CHECKING:
-    from collections.abc import Container, Mapping, Sequence
-    from pathlib import Path
-
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import Link
 
 LINK_COLUMNS = ("a", "b", "kind", "x", "y", "heading", "inliers", "score", "used")
 

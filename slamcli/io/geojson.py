@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from pathlib import Path
 
+from slamcli.core.arrays import Float64Array
 from slamcli.io.files import write_text
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
-
-
-def write_geojson(path: Path, tracks: Mapping[int, NDArray[np.float64]]) -> None:
+def write_geojson(path: Path, tracks: Mapping[int, Float64Array]) -> None:
     """Write one line a fragment.
 
     Parameters

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from pathlib import Path
 
+from slamcli.core.camera.calibration import Unit
+from slamcli.core.records import Features, Keypoints
 from slamcli.io.files import write_text
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from slamcli.core.records import Features, Keypoints, Unit
 
 COLUMNS = ("frame", "x", "y", "size", "angle", "response", "octave")
 FLOOR_COLUMNS = ("x_metres", "y_metres")

@@ -7,22 +7,16 @@ Tyszkiewicz et al., NeurIPS 2020. LightGlue: Lindenberger et al., ICCV 2023.
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import Float32Array, Float64Array, Int32Array, UInt8Array
+from slamcli.core.config import FeatureMethod
 from slamcli.core.errors import FrameError, InputError
-from slamcli.core.networks import NetworkPoints
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import FeatureMethod
-    from slamcli.core.networks import MatchNetwork, PointNetwork
+from slamcli.core.networks import MatchNetwork, NetworkPoints, PointNetwork
 
 # What the published files take, and OpenCV's own defaults.
 _ALIKED_SIZE = (640, 640)
@@ -142,7 +136,7 @@ class _Points:
         path: Path,
         detector: cv2.Feature2D,
         size: tuple[int, int],
-        scale: NDArray[np.float64],
+        scale: Float64Array,
     ) -> None:
         self._make = make
         self._path, self._detector, self._size, self._scale = path, detector, size, scale
@@ -159,7 +153,7 @@ class _Points:
     def size(self) -> tuple[int, int]:
         return self._size
 
-    def find(self, image: NDArray[np.uint8]) -> NetworkPoints:
+    def find(self, image: UInt8Array) -> NetworkPoints:
         try:
             with self._lock:
                 found, descriptors = self._detector.detectAndCompute(image, None)
@@ -188,11 +182,11 @@ class _LightGlue:
 
     def match(
         self,
-        places_a: NDArray[np.float32],
-        places_b: NDArray[np.float32],
-        descriptors_a: NDArray[np.float32],
-        descriptors_b: NDArray[np.float32],
-    ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        places_a: Float32Array,
+        places_b: Float32Array,
+        descriptors_a: Float32Array,
+        descriptors_b: Float32Array,
+    ) -> tuple[Int32Array, Float32Array]:
         try:
             with self._lock:
                 # Without picture sizes OpenCV takes the places as they are.

@@ -5,18 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 
 from slamcli.core.geometry import covariance_in_map
+from slamcli.core.records import PoseEstimate
 from slamcli.io.files import write_text
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from slamcli.core.records import PoseEstimate
 
 COLUMNS = (
     "index",

@@ -5,22 +5,19 @@ from __future__ import annotations
 import csv
 import io
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from slamcli.core.camera.calibration import Calibration, Rocking
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Calibration, PoseEstimate, Rocking
+from slamcli.core.records import PoseEstimate, Status
 from slamcli.io.files import read_text
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from slamcli.core.records import Status
-    from slamcli.io.toml import Scalar
+from slamcli.io.toml import Scalar
 
 _NUMBERS = (
     "height_metres",

@@ -8,24 +8,18 @@ from __future__ import annotations
 import csv
 import io
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2
 from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
-from slamcli.io.csv_table import HEADINGS, STAMPS, parse_table
+from slamcli.io.csv_table import HEADINGS, STAMPS, Table, parse_table
 from slamcli.io.files import read_text, write_text
 from slamcli.io.trajectories import read_trajectory
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from slamcli.io.csv_table import Table
 
 # Clockwise from north, as a hand-held compass reads.
 _BEARINGS = ("bearing", "azimuth")
@@ -55,7 +49,7 @@ def write_odometry(path: Path, stamps: Sequence[float], poses: Sequence[Pose2]) 
 
 
 def write_compass(
-    path: Path, stamps: Sequence[float], headings_radians: NDArray[np.float64], sigma: float
+    path: Path, stamps: Sequence[float], headings_radians: Float64Array, sigma: float
 ) -> None:
     """Write stamp, heading and sigma (rad)."""
     rows = (
@@ -66,7 +60,7 @@ def write_compass(
 
 
 def write_gps(
-    path: Path, stamps: Sequence[float], places_degrees: NDArray[np.float64], sigma: float
+    path: Path, stamps: Sequence[float], places_degrees: Float64Array, sigma: float
 ) -> None:
     """Write stamp, latitude, longitude (degrees, WGS84) and sigma (m)."""
     rows = (
@@ -160,7 +154,7 @@ def _read(path: Path, what: str) -> Table:
     return table
 
 
-def _refuse_backwards(path: Path, stamps: NDArray[np.float64], table: Table | None) -> None:
+def _refuse_backwards(path: Path, stamps: Float64Array, table: Table | None) -> None:
     backwards = np.flatnonzero(np.diff(stamps) < 0.0)
     if len(backwards):
         row = int(backwards[0]) + 1

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
+from slamcli.core.arrays import BoolArray, Float64Array
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2
 from slamcli.core.trajectory import Trajectory
-from slamcli.io.csv_table import HEADINGS, STAMPS, parse_table
+from slamcli.io.csv_table import HEADINGS, STAMPS, Table, parse_table
 from slamcli.io.files import read_text, write_text
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from slamcli.io.csv_table import Table
 
 _TUM_FIELDS, _KITTI_FIELDS = 8, 12
 _X, _Y = ("x", "px", "tx"), ("y", "py", "ty")
@@ -106,21 +100,21 @@ def _from_table(table: Table) -> Trajectory:
     )
 
 
-def _stamps(table: Table, placed: NDArray[np.bool_]) -> NDArray[np.float64] | None:
+def _stamps(table: Table, placed: BoolArray) -> Float64Array | None:
     if not table.has(STAMPS):
         return None
     stamps = table.numbers(STAMPS, blank=True)[placed]
     return None if np.isnan(stamps).any() else stamps
 
 
-def _names(table: Table, placed: NDArray[np.bool_]) -> tuple[str, ...] | None:
+def _names(table: Table, placed: BoolArray) -> tuple[str, ...] | None:
     if not table.has(_NAMES):
         return None
     names = tuple(np.array(table.words(_NAMES), dtype=object)[placed])
     return names if all(names) else None
 
 
-def _matrix(path: Path, lines: list[tuple[int, str]], width: int) -> NDArray[np.float64]:
+def _matrix(path: Path, lines: list[tuple[int, str]], width: int) -> Float64Array:
     rows = []
     for number, line in lines:
         words = line.replace(",", " ").split()
@@ -135,8 +129,8 @@ def _matrix(path: Path, lines: list[tuple[int, str]], width: int) -> NDArray[np.
 
 
 def _poses_of_quaternions(
-    path: Path, numbers: NDArray[np.float64], lines: list[tuple[int, str]]
-) -> NDArray[np.float64]:
+    path: Path, numbers: Float64Array, lines: list[tuple[int, str]]
+) -> Float64Array:
     norms = np.linalg.norm(numbers[:, 3:], axis=1)
     if np.any(np.abs(norms - 1.0) > 0.01):
         number = lines[int(np.argmax(np.abs(norms - 1.0)))][0]
@@ -149,14 +143,14 @@ def _poses_of_quaternions(
 
 
 def _poses_of_matrices(
-    path: Path, matrices: NDArray[np.float64], lines: list[tuple[int, str]]
-) -> NDArray[np.float64]:
+    path: Path, matrices: Float64Array, lines: list[tuple[int, str]]
+) -> Float64Array:
     _refuse_lean(path, matrices[:, 2, 2], lines)
     yaw = np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0])
     return np.column_stack([matrices[:, :2, 3], yaw])
 
 
-def _refuse_lean(path: Path, up: NDArray[np.float64], lines: list[tuple[int, str]]) -> None:
+def _refuse_lean(path: Path, up: Float64Array, lines: list[tuple[int, str]]) -> None:
     leaning = up < math.cos(math.radians(_MOST_LEAN_DEGREES))
     if leaning.any():
         number = lines[int(np.argmax(leaning))][0]
@@ -166,7 +160,7 @@ def _refuse_lean(path: Path, up: NDArray[np.float64], lines: list[tuple[int, str
         )
 
 
-def _plain(poses: NDArray[np.float64], stamps: NDArray[np.float64] | None) -> Trajectory:
+def _plain(poses: Float64Array, stamps: Float64Array | None) -> Trajectory:
     return Trajectory(poses, stamps, None, np.zeros(len(poses), np.int64), None)
 
 

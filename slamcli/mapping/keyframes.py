@@ -6,23 +6,18 @@ error is below a camera's own noise; the pyramid is made anew from them.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import UInt8Array
 from slamcli.core.errors import FrameError
+from slamcli.core.geometry import Grid
 from slamcli.core.records import Keyframe, Prepared
 from slamcli.stages import dense
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Grid
 
 _JPEG_QUALITY = 90
 # An expanded keyframe takes some megabytes; a few stand ready. Most cameras' views have one mask.
@@ -108,7 +103,7 @@ def _stencils(grid: Grid, encoded: bytes) -> tuple[dense.Stencil, ...]:
     return () if mask is None else dense.stencils_from_half(mask)
 
 
-def _decode(encoded: bytes, grid: Grid) -> NDArray[np.uint8] | None:
+def _decode(encoded: bytes, grid: Grid) -> UInt8Array | None:
     """Return the gray picture of a JPEG or PNG; None when it is none of a grid's views, halved."""
     try:
         picture = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_GRAYSCALE)

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
+from slamcli.core.arrays import UInt8Array
 from slamcli.core.config import MapperOptions
-from slamcli.core.records import Frame
+from slamcli.core.records import FloorMap, Frame, PoseEstimate, Prepared
 from slamcli.mapping.backend.backend import Graph, lost
 from slamcli.mapping.mapper import Mapper
 from slamcli.mapping.relocalization import Recogniser
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import FloorMap, PoseEstimate, Prepared
 
 
 class Locator:
@@ -44,7 +38,7 @@ class Locator:
             self._graph.adopt(estimate)
         self._count = 0
 
-    def locate(self, frame: Frame | NDArray[np.uint8]) -> PoseEstimate:
+    def locate(self, frame: Frame | UInt8Array) -> PoseEstimate:
         """Return where a frame is on the map; lost, with the reason, when it is not there.
 
         Parameters

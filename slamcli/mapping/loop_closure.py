@@ -8,31 +8,26 @@ compared (`slamcli.mapping.relocalization`).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import accumulate, groupby, islice, pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from slamcli.core.geometry import Pose2, invert, path_length, pose_array
+from slamcli.core.arrays import Float64Array
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import MapperOptions
+from slamcli.core.geometry import Grid, Pose2, invert, path_length, pose_array
+from slamcli.core.records import Keyframe, Link, Prepared
+from slamcli.mapping.backend.backend import Graph
 from slamcli.mapping.keyframes import compress
-from slamcli.mapping.relocalization import Recogniser
+from slamcli.mapping.relocalization import Recogniser, Recognition
 from slamcli.stages import covisibility, posegraph
+from slamcli.stages.place_index import Place
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import MapperOptions
-    from slamcli.core.geometry import Grid
-    from slamcli.core.records import Calibration, Keyframe, Link, Prepared
-    from slamcli.mapping.backend.backend import Graph
-    from slamcli.mapping.relocalization import Recognition
-    from slamcli.stages.place_index import Place
-
-    Attempts = Sequence["_Attempt"]
-    Spread = Callable[[Callable[[Attempts], list[Link]], Iterable[Attempts]], Iterable[list[Link]]]
+Attempts = Sequence["_Attempt"]
+Spread = Callable[[Callable[[Attempts], list[Link]], Iterable[Attempts]], Iterable[list[Link]]]
 
 # Of the way between two frames: what a calibration's errors add to it, which no link's covariance
 # knows of (one sigma).
@@ -58,7 +53,7 @@ class _Attempt(NamedTuple):
     a: int
     b: int
     expected: Pose2
-    covariance: NDArray[np.float64]
+    covariance: Float64Array
     guess: Pose2
 
 
@@ -259,7 +254,7 @@ class Loops:
                 members.setdefault(graph[index].fragment, []).append(index)
         return members
 
-    def _doubt(self, sigma_metres: float) -> NDArray[np.float64]:
+    def _doubt(self, sigma_metres: float) -> Float64Array:
         """Return the (3, 3) covariance of a motion that errs by so much within the range."""
         sigma = max(sigma_metres, _DRIFT_SHARE * self._reach)
         turn = sigma / self._range

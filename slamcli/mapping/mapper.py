@@ -10,36 +10,29 @@ against one another.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import UInt8Array
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError, InputError
-from slamcli.core.geometry import Pose2
-from slamcli.core.records import FloorMap, Frame, Prepared
+from slamcli.core.geometry import Grid, Pose2
+from slamcli.core.records import FloorMap, Frame, Link, PoseEstimate, Prepared
+from slamcli.core.telemetry import (
+    CompassReading,
+    Georeference,
+    GpsReading,
+    OdometryReading,
+    TelemetryOptions,
+)
 from slamcli.mapping.backend.backend import Graph, lost
 from slamcli.mapping.backend.sensors import Senses
-from slamcli.mapping.loop_closure import Loops
-from slamcli.registration import compare
+from slamcli.mapping.loop_closure import Loops, Spread
+from slamcli.registration import Trial, compare
 from slamcli.registration.preparation import assemble
 from slamcli.stages import dense, features, view
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Grid
-    from slamcli.core.records import Calibration, Link, PoseEstimate
-    from slamcli.core.telemetry import (
-        CompassReading,
-        Georeference,
-        GpsReading,
-        OdometryReading,
-        TelemetryOptions,
-    )
-    from slamcli.mapping.loop_closure import Spread
-    from slamcli.registration import Trial
 
 # Frames so near in time may be searched for anywhere in each other.
 _MOST_UNGUIDED_STEPS = 2
@@ -107,7 +100,7 @@ class Mapper:
         """The comparisons that the latest step made, in their order."""
         return list(self._trials)
 
-    def update(self, frame: Frame | NDArray[np.uint8]) -> PoseEstimate:
+    def update(self, frame: Frame | UInt8Array) -> PoseEstimate:
         """Locate one more frame; a frame that cannot be used is lost, with the reason.
 
         Parameters

@@ -8,22 +8,17 @@ one map with equal right is ambiguous: neither is believed.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import MapperOptions
+from slamcli.core.geometry import Grid, Pose2
+from slamcli.core.records import Features, Keyframe, Prepared
+from slamcli.mapping.backend.backend import Graph
 from slamcli.mapping.keyframes import Expander
-from slamcli.registration import compare
-from slamcli.stages.place_index import PlaceIndex
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from slamcli.core.config import MapperOptions
-    from slamcli.core.geometry import Grid, Pose2
-    from slamcli.core.records import Calibration, Features, Keyframe, Prepared
-    from slamcli.mapping.backend.backend import Graph
-    from slamcli.registration import Trial
-    from slamcli.stages.place_index import Place
+from slamcli.registration import Trial, compare
+from slamcli.stages.place_index import Place, PlaceIndex
 
 # A motion needs so many times the usual inliers, and pixels that agree well.
 _LEAST_INLIERS = 3

@@ -9,19 +9,15 @@ asked last: it holds the motion where the near floor is bare, plain or hardly sh
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import MapperOptions
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import Prepared
 from slamcli.registration import acceptance, hypotheses, refinement
-from slamcli.registration.refinement import Pair
+from slamcli.registration.refinement import Hypothesis, Pair
 from slamcli.registration.selection import Case, Trial
-from slamcli.stages import align
-
-if TYPE_CHECKING:
-    from slamcli.core.config import MapperOptions
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import Calibration, Prepared
-    from slamcli.registration.refinement import Hypothesis
-    from slamcli.stages import dense
+from slamcli.stages import align, dense
 
 __all__ = ["Trial", "compare"]
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.config import MapperOptions
+from slamcli.core.records import Alignment
 from slamcli.registration import hypotheses
-
-if TYPE_CHECKING:
-    from slamcli.core.config import MapperOptions
-    from slamcli.core.records import Alignment
-    from slamcli.registration.refinement import Hypothesis, Pair
+from slamcli.registration.refinement import Hypothesis, Pair
 
 # So many times the inliers that are needed stand in for pixels that look little alike, or that
 # leave a direction open.

@@ -8,17 +8,13 @@ motions that it gives 0.9, about nine in ten are within 5 cm and 2 degrees of it
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
+from slamcli.core.records import Alignment
 from slamcli.registration import refinement
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Alignment
-    from slamcli.registration.refinement import Hypothesis, Pair
+from slamcli.registration.refinement import Hypothesis, Pair
 
 EVIDENCE = (
     "constant",
@@ -46,7 +42,7 @@ def evidence(
     searched_metres: float,
     range_metres: float,
     pair: Pair,
-) -> NDArray[np.float64]:
+) -> Float64Array:
     """Return (K,) what is told of a motion, in the order of `EVIDENCE`, each about 0 to 1.
 
     Parameters
@@ -91,6 +87,6 @@ def _likeness(correlation: float) -> float:
     return math.log(unexplained) / math.log(_LEAST_UNEXPLAINED)
 
 
-def score(told: NDArray[np.float64]) -> float:
+def score(told: Float64Array) -> float:
     """Return the probability, in [0, 1], that a motion of which this evidence tells is right."""
     return 1.0 / (1.0 + math.exp(-float(WEIGHTS @ told)))

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2
 from slamcli.registration import refinement
+from slamcli.registration.refinement import Hypothesis, Pair
 from slamcli.stages import dense
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import MapperOptions
-    from slamcli.core.records import Calibration
-    from slamcli.registration.refinement import Hypothesis, Pair
 
 # So many peaks of a search are followed up; a ridge along a line alone may hold several.
 _PEAKS = 10
@@ -72,7 +68,7 @@ def _follow_up(
 def repeated(
     pair: Pair,
     fit: Hypothesis,
-    repeats: NDArray[np.float64],
+    repeats: Float64Array,
     calibration: Calibration,
     options: MapperOptions,
 ) -> list[Hypothesis]:

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
-from slamcli.core.records import Prepared
+from slamcli.core.records import Features, Frame, Prepared, View
 from slamcli.stages import dense
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from slamcli.core.records import Features, Frame, View
 
 Stencils = tuple[dense.Stencil, ...]
 

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamcli.core.geometry import wrap_angle
+from slamcli.core.arrays import Float64Array
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import MapperOptions
+from slamcli.core.geometry import Pose2, wrap_angle
+from slamcli.core.records import DenseLevel
 from slamcli.stages import dense
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import MapperOptions
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import Calibration, DenseLevel
 
 # Two motions nearer than this, in pixels of the coarsest level and in radians, are one.
 _SAME_PIXELS = 3.0
@@ -71,11 +67,11 @@ class Hypothesis:
     """
 
     pose: Pose2
-    covariance: NDArray[np.float64]
+    covariance: Float64Array
     agreed: dense.Agreement
     evidence: float
     correlation: float
-    view_a_from_view_b: NDArray[np.float64]
+    view_a_from_view_b: Float64Array
     rocks: bool = False
 
     @property
@@ -87,7 +83,7 @@ class Hypothesis:
 def polish(
     pair: Pair,
     pose: Pose2,
-    covariance: NDArray[np.float64] | None,
+    covariance: Float64Array | None,
     calibration: Calibration,
     options: MapperOptions,
 ) -> Hypothesis | None:
@@ -243,7 +239,7 @@ def _strayed(start: Pose2, pose: Pose2, pair: Pair) -> bool:
 
 def _holds(
     fit: Hypothesis,
-    other: NDArray[np.float64],
+    other: Float64Array,
     calibration: Calibration,
     options: MapperOptions,
 ) -> bool:
@@ -257,7 +253,7 @@ def widest_variance(fit: Hypothesis) -> float:
     return _widest(fit.covariance)
 
 
-def _widest(covariance: NDArray[np.float64]) -> float:
+def _widest(covariance: Float64Array) -> float:
     return float(np.linalg.eigvalsh(covariance[:2, :2])[1])
 
 
@@ -298,8 +294,8 @@ def sharpen(
 def judge(
     pair: Pair,
     pose: Pose2,
-    covariance: NDArray[np.float64],
-    shown: NDArray[np.float64],
+    covariance: Float64Array,
+    shown: Float64Array,
 ) -> Hypothesis:
     """Return what the pixels say of one motion."""
     agreed = dense.agreement(pair.a[0], pair.b[0], shown)

@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from slamcli.core.records import Link
+from slamcli.core.arrays import Float64Array
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import MapperOptions
+from slamcli.core.records import Alignment, Link, Prepared
 from slamcli.registration import acceptance, confidence, hypotheses, refinement
-from slamcli.registration.refinement import Pair
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import MapperOptions
-    from slamcli.core.records import Alignment, Calibration, Prepared
-    from slamcli.registration.refinement import Hypothesis
-    from slamcli.stages import dense
+from slamcli.registration.refinement import Hypothesis, Pair
+from slamcli.stages import dense
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +45,7 @@ class Trial:
     alignment: Alignment
     link: Link | None
     fit: Hypothesis | None
-    evidence: NDArray[np.float64] | None
+    evidence: Float64Array | None
     reason: str = ""
     rival: float = math.nan
     search: dense.Search | None = None

@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from glob import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from slamcli.core.arrays import BoolArray
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import FeatureOptions
 from slamcli.core.errors import FrameError, InputError
+from slamcli.core.records import Features, Keypoints, View
 from slamcli.drawing.keypoints import draw_keypoints
 from slamcli.io.files import output_folder, write_image
-from slamcli.io.frames import read_frame
+from slamcli.io.frames import FrameFile, read_frame
 from slamcli.io.keypoints import write_keypoints
-from slamcli.run.inputs import open_inputs
+from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.match.fitting import plain_picture
-from slamcli.run.networks import with_point_network
-from slamcli.run.session.executor import ordered
+from slamcli.run.networks import NetworkFiles, with_point_network
+from slamcli.run.session.executor import Progress, ordered
 from slamcli.stages import features, view
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import FeatureOptions
-    from slamcli.core.records import Calibration, Features, Keypoints, View
-    from slamcli.io.frames import FrameFile
-    from slamcli.run.inputs import Inputs
-    from slamcli.run.networks import NetworkFiles
-    from slamcli.run.session.executor import Progress
-    from slamcli.stages.view import Resampler
+from slamcli.stages.view import Resampler
 
 TABLE = "features.csv"
 SUFFIX = "_keypoints.png"
@@ -111,7 +102,7 @@ def _search(
     return file.name, keypoints, features.to_features(seen, keypoints, calibration)
 
 
-def _removed(seen: View, options: FeatureOptions) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _removed(seen: View, options: FeatureOptions) -> tuple[BoolArray, BoolArray]:
     """Return what cleaning made black, and what of the seen the region of interest left out."""
     shown = features.prepare(seen, options)
     was_seen = seen.mask > 0

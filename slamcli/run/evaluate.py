@@ -5,16 +5,13 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from slamcli.core.errors import InputError
+from slamcli.core.trajectory import Accuracy, Evaluation, Statistics
 from slamcli.io.trajectories import read_trajectory
 from slamcli.stages.evaluation import evaluate as evaluate_poses
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from slamcli.core.trajectory import Accuracy, Evaluation, Statistics
 
 
 @dataclass(frozen=True, slots=True)

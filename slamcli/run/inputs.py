@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.projection import top_down_calibration
 from slamcli.core.errors import CalibrationError, FrameError, InputError
 from slamcli.io.calibrations import load_calibration
 from slamcli.io.frames import FrameFile, list_frames, read_frame
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from slamcli.core.records import Calibration
 
 CALIBRATION_NAME = "calibration.yaml"
 

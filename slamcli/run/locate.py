@@ -4,27 +4,23 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from slamcli.core.geometry import covariance_in_map
+from slamcli.core.records import PoseEstimate
 from slamcli.io.files import refuse_existing
 from slamcli.io.frames import list_frames
 from slamcli.io.map_file import load_map
 from slamcli.io.poses import write_poses
 from slamcli.mapping.localizer import Locator
-from slamcli.run.session.executor import ordered
-from slamcli.run.stitch.frame_loop import read_and_prepare
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from slamcli.core.records import PoseEstimate
-    from slamcli.run.session.executor import Progress
+from slamcli.run.frame_loop import read_and_prepare
+from slamcli.run.session.executor import Progress, ordered
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from pathlib import Path
+from typing import Literal
 
+from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions
 from slamcli.core.errors import InputError
 from slamcli.io.networks import load_match_network, load_point_network
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions
 
 LEARNED = ("aliked", "disk")
 

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 
+from slamcli.core.config import ProductOptions
 from slamcli.core.errors import InputError
+from slamcli.core.records import PoseEstimate
 from slamcli.io.files import output_folder, remove_folder
-from slamcli.io.frames import list_frames
+from slamcli.io.frames import FrameFile, list_frames
 from slamcli.io.runs import read_run
 from slamcli.run.paint import outputs
 from slamcli.run.paint.paint import scenes_of
+from slamcli.run.session.executor import Progress
 from slamcli.run.session.interruption import interruptible
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from slamcli.core.config import ProductOptions
-    from slamcli.core.records import PoseEstimate
-    from slamcli.io.frames import FrameFile
-    from slamcli.run.session.executor import Progress
 
 
 def render(

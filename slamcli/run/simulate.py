@@ -3,33 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array, UInt8Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.errors import FrameError, InputError
-from slamcli.core.geometry import Pose2
+from slamcli.core.geometry import Grid, Pose2
 from slamcli.io import telemetry
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import output_folder, write_image
 from slamcli.io.frames import read_image
 from slamcli.io.trajectories import read_path
-from slamcli.run.session.executor import ordered
+from slamcli.run.session.executor import Progress, ordered
 from slamcli.simulation import drive, floors, photograph
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Grid
-    from slamcli.core.records import Calibration
-    from slamcli.run.session.executor import Progress
-    from slamcli.simulation.config import SimulationOptions
+from slamcli.simulation.config import SimulationOptions
 
 PRODUCTS = (
     "frames",
@@ -148,13 +141,13 @@ def _take(
     photographer: photograph.Photographer,
     options: SimulationOptions,
     job: tuple[int, tuple[Pose2, Pose2], float],
-) -> NDArray[np.uint8]:
+) -> UInt8Array:
     index, way, stamp = job
     generator = np.random.default_rng([options.seed, _FRAMES, index])
     return photograph.take(photographer, way, stamp, options.disturbances, generator)
 
 
-def _photograph_square(calibration: Calibration, options: SimulationOptions) -> NDArray[np.uint8]:
+def _photograph_square(calibration: Calibration, options: SimulationOptions) -> UInt8Array:
     """Return a photo of a white square on plain floor, as large as fits wholly into the picture."""
     corners = _place_square(calibration, options.square_side_metres)
     floor = floors.make_floor("concrete", 0.0, 0.001, options.seed)
@@ -172,7 +165,7 @@ def _photograph_square(calibration: Calibration, options: SimulationOptions) -> 
     return photograph.take(photographer, (Pose2(), Pose2()), 0.0, quiet, generator)
 
 
-def _place_square(calibration: Calibration, side_metres: float) -> NDArray[np.float64]:
+def _place_square(calibration: Calibration, side_metres: float) -> Float64Array:
     """Return the (4, 2) corners of a square, slightly turned, that is seen whole and large."""
     half = side_metres / 2
     outline = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -197,7 +190,7 @@ class _Darkened:
         self.metres_per_pixel = floor.metres_per_pixel
         self._floor = floor
 
-    def region(self, grid: Grid) -> NDArray[np.uint8]:
+    def region(self, grid: Grid) -> UInt8Array:
         """Return the floor's pixels, halved."""
         return self._floor.region(grid) // np.uint8(2)
 

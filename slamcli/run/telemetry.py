@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import pose_array
+from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
 from slamcli.io.telemetry import read_compass, read_gps, read_odometry
 from slamcli.mapping.backend.pose_graph import placed_fragments
+from slamcli.mapping.mapper import Mapper
+from slamcli.run.inputs import Inputs
 from slamcli.stages.telemetry import estimate_time_offset
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
-    from slamcli.mapping.mapper import Mapper
-    from slamcli.run.inputs import Inputs
 
 
 @dataclass(frozen=True, slots=True)

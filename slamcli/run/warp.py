@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from glob import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.errors import FrameError, InputError
 from slamcli.io.files import output_folder
-from slamcli.io.frames import read_frame
+from slamcli.io.frames import FrameFile, read_frame
 from slamcli.io.raster import world_file
 from slamcli.run.inputs import open_inputs
-from slamcli.run.session.executor import ordered
+from slamcli.run.session.executor import Progress, ordered
 from slamcli.stages import view
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from slamcli.core.records import Calibration
-    from slamcli.io.frames import FrameFile
-    from slamcli.run.session.executor import Progress
-    from slamcli.stages.view import Resampler
+from slamcli.stages.view import Resampler
 
 
 def warp(

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration, Rocking
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Rocking
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from slamcli.core.records import Calibration, Link, PoseEstimate
-    from slamcli.selfcal.bundle import Registration
-    from slamcli.stages import adjustment
+from slamcli.core.records import Link, PoseEstimate
+from slamcli.selfcal.bundle import Registration
+from slamcli.stages import adjustment
 
 # A pose is no surer than this, m and rad.
 _LEAST_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])

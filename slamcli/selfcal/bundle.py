@@ -6,20 +6,16 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from slamcli.core.records import Rocking
+from slamcli.core.arrays import BoolArray, Float64Array
+from slamcli.core.camera.calibration import Calibration, Rocking
+from slamcli.core.records import FloorMap, Link, PoseEstimate
 from slamcli.selfcal.correspondences import Matcher, Pair, Read
 from slamcli.stages import adjustment
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Calibration, FloorMap, Link, PoseEstimate
 
 Matching = Callable[[Pair], adjustment.Matches | None]
 InOrder = Callable[[Matching, Sequence[Pair]], Iterable[adjustment.Matches | None]]
@@ -107,8 +103,8 @@ def fit(
     calibration: Calibration,
     views: Mapping[int, adjustment.View],
     matches: Sequence[adjustment.Matches],
-    camera_free: NDArray[np.bool_],
-    rocking_sigmas: NDArray[np.float64] | None = None,
+    camera_free: BoolArray,
+    rocking_sigmas: Float64Array | None = None,
     rounds: int | None = None,
 ) -> adjustment.Adjustment:
     """Adjust; by how much frames rock is learnt, from what is given on or from the first guess."""

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import Float64Array, UInt8Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration, Rocking
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Rocking
+from slamcli.core.records import Frame, Link
 from slamcli.stages import adjustment, view
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Calibration, Frame, Link
 
 Pair = tuple[int, int]
 Read = Callable[[int], "Frame"]
@@ -86,9 +82,7 @@ class Matcher:
         mask = self._usable if frame.mask is None else np.minimum(self._usable, frame.mask)
         return adjustment.make_pyramid(view.to_gray(frame.image), mask)
 
-    def _seen(
-        self, warp: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-    ) -> NDArray[np.uint8]:
+    def _seen(self, warp: Callable[[Float64Array], Float64Array]) -> UInt8Array:
         """Return (H, W) uint8: 255 at pixels of one frame whose floor the other sees."""
         height, width = self._usable.shape
         columns, rows = np.meshgrid(
@@ -104,7 +98,7 @@ class Matcher:
         seen = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_NEAREST)
         return np.asarray(seen, np.uint8)
 
-    def _linked(self, pair: Pair, seen: NDArray[np.uint8]) -> adjustment.Matches | None:
+    def _linked(self, pair: Pair, seen: UInt8Array) -> adjustment.Matches | None:
         """Return a few spots of the floor as the pair's link maps them, held loosely."""
         rows, columns = np.nonzero(seen & self._usable)
         if not len(rows):

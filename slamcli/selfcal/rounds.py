@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
+from slamcli.core.camera.calibration import Calibration
 from slamcli.selfcal.apply import told, with_range, with_views
-from slamcli.selfcal.bundle import NONE, fit, median_pixels, survey_frames
+from slamcli.selfcal.bundle import (
+    NONE,
+    InOrder,
+    Registration,
+    Survey,
+    fit,
+    median_pixels,
+    survey_frames,
+)
+from slamcli.selfcal.correspondences import Read
 from slamcli.selfcal.validation import confirmed, explains_better, left_open, settled
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Calibration
-    from slamcli.selfcal.bundle import InOrder, Registration, Survey
-    from slamcli.selfcal.correspondences import Read
 
 _MOST_ROUNDS = 4
 
@@ -51,7 +53,7 @@ class Refinement:
     rounds: int = 0
     pixels_before: float = math.nan
     pixels_after: float = math.nan
-    rocking_sigmas: NDArray[np.float64] | None = None
+    rocking_sigmas: Float64Array | None = None
 
 
 def refine(

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtri
 
+from slamcli.core.camera.calibration import Calibration
 from slamcli.selfcal.bundle import MOST_SIGMAS, NONE, Survey, fit
 from slamcli.stages import adjustment
-
-if TYPE_CHECKING:
-    from slamcli.core.records import Calibration
 
 _HELD_OUT = 4
 _SIGNIFICANCE = 0.999

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.geometry import Pose2
+from slamcli.simulation.config import SensorOptions, SimulationOptions
 from slamcli.simulation.photograph import Box
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.simulation.config import SensorOptions, SimulationOptions
 
 # WGS84 (NIMA TR8350.2): semi-major axis, m, and first eccentricity squared.
 _WGS84_AXIS_METRES = 6378137.0
@@ -45,8 +40,8 @@ class Readings:
     """
 
     odometry: tuple[Pose2, ...]
-    compass_radians: NDArray[np.float64]
-    gps_degrees: NDArray[np.float64]
+    compass_radians: Float64Array
+    gps_degrees: Float64Array
 
 
 def make_path(options: SimulationOptions) -> list[Pose2]:
@@ -58,18 +53,18 @@ def make_path(options: SimulationOptions) -> list[Pose2]:
     return PATHS[options.path](distances, options)
 
 
-def _line(distances: NDArray[np.float64], _options: SimulationOptions) -> list[Pose2]:
+def _line(distances: Float64Array, _options: SimulationOptions) -> list[Pose2]:
     return [Pose2(float(distance)) for distance in distances]
 
 
-def _loop(distances: NDArray[np.float64], options: SimulationOptions) -> list[Pose2]:
+def _loop(distances: Float64Array, options: SimulationOptions) -> list[Pose2]:
     """Return poses once around a circle to the left."""
     radius = options.length_metres / math.tau
     angles = distances / radius
     return [Pose2(radius * math.sin(a), radius * (1.0 - math.cos(a)), float(a)) for a in angles]
 
 
-def _drift(distances: NDArray[np.float64], options: SimulationOptions) -> list[Pose2]:
+def _drift(distances: Float64Array, options: SimulationOptions) -> list[Pose2]:
     """Return poses once around a circle, the heading free of the way, as a drone's may be."""
     poses = _loop(distances, options)
     shares = distances / options.length_metres
@@ -79,7 +74,7 @@ def _drift(distances: NDArray[np.float64], options: SimulationOptions) -> list[P
     ]
 
 
-def _lawnmower(distances: NDArray[np.float64], options: SimulationOptions) -> list[Pose2]:
+def _lawnmower(distances: Float64Array, options: SimulationOptions) -> list[Pose2]:
     """Return poses on straight lanes joined by half circles, alternately left and right."""
     lane, length = options.lane_metres, options.length_metres
     turn = math.pi * lane / 2
@@ -130,8 +125,8 @@ def sense(
 
 
 def geodetic_from_local(
-    east_north: NDArray[np.float64], datum_degrees: tuple[float, float]
-) -> NDArray[np.float64]:
+    east_north: Float64Array, datum_degrees: tuple[float, float]
+) -> Float64Array:
     """Return (N, 2) WGS84 latitude and longitude, degrees, of (N, 2) metres east and north.
 
     By the ellipsoid's radii of curvature at the datum (meridian and prime vertical; Snyder, Map
@@ -192,7 +187,7 @@ def send_walkers(
     return tuple(legs)
 
 
-PATHS: dict[str, Callable[[NDArray[np.float64], SimulationOptions], list[Pose2]]] = {
+PATHS: dict[str, Callable[[Float64Array, SimulationOptions], list[Pose2]]] = {
     "line": _line,
     "loop": _loop,
     "lawnmower": _lawnmower,

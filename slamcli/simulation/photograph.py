@@ -8,20 +8,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Grid, Pose2, apply_homography
-from slamcli.core.records import Calibration
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.simulation.config import CameraOptions, DisturbanceOptions
-    from slamcli.simulation.floors import Floor
+from slamcli.simulation.config import CameraOptions, DisturbanceOptions
+from slamcli.simulation.floors import Floor
 
 _RAYS_ACROSS, _RAYS_DOWN = 2, 4
 # Floor beyond this many camera heights is a wall; nobody maps that far.
@@ -66,7 +62,7 @@ class Decal:
     gray : float
     """
 
-    corners: NDArray[np.float64]
+    corners: Float64Array
     gray: float
 
 
@@ -184,7 +180,7 @@ class Photographer:
 
     def expose(
         self, world_from_robot: Pose2, calibration: Calibration, stamp: float
-    ) -> NDArray[np.float32]:
+    ) -> Float32Array:
         """Return (H, W, 3) float32 BGR of one instant, without noise."""
         inverse = calibration.robot_from_image.astype(np.float32)
         x, y, w = (row[0] * self._columns + row[1] * self._rows + row[2] for row in inverse)
@@ -220,11 +216,11 @@ class Photographer:
 
 def _read(
     floor: Floor,
-    world_x: NDArray[np.float32],
-    world_y: NDArray[np.float32],
-    sampling: NDArray[np.float32],
-    wanted: NDArray[np.bool_],
-    picture: NDArray[np.float32],
+    world_x: Float32Array,
+    world_y: Float32Array,
+    sampling: Float32Array,
+    wanted: BoolArray,
+    picture: Float32Array,
 ) -> None:
     """Fill in the wanted rays of a picture from the texture, each from its own level."""
     if not wanted.any():
@@ -254,8 +250,8 @@ def _read(
 
 
 def _to_walls(
-    room: Room, world_from_robot: Pose2, x: NDArray[np.float32], y: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    room: Room, world_from_robot: Pose2, x: Float32Array, y: Float32Array
+) -> tuple[Float32Array, Float32Array]:
     """Return how many times (x, y) in the robot's axes reach a wall, and where along the walls."""
     cosine, sine = math.cos(world_from_robot.theta), math.sin(world_from_robot.theta)
     ahead, left = cosine * x - sine * y, sine * x + cosine * y
@@ -277,7 +273,7 @@ def take(
     stamp: float,
     disturbances: DisturbanceOptions,
     generator: np.random.Generator,
-) -> NDArray[np.uint8]:
+) -> UInt8Array:
     """Return one frame (H, W, 3) uint8 BGR.
 
     Parameters
@@ -312,7 +308,7 @@ def take(
     return np.asarray(np.clip(np.round(image), 0, 255), np.uint8)
 
 
-def _vignette(calibration: Calibration, share: float) -> NDArray[np.float32]:
+def _vignette(calibration: Calibration, share: float) -> Float32Array:
     """Return (H, W, 1): the brightness lost towards the corners, by the square of the radius."""
     width, height = calibration.image_size
     centre_x, centre_y = projection.image_centre(calibration.image_size)
@@ -321,17 +317,13 @@ def _vignette(calibration: Calibration, share: float) -> NDArray[np.float32]:
     return np.asarray(1.0 - share * radius_squared, np.float32)[..., None]
 
 
-def _along(
-    pixel_row: NDArray[np.float64], ray_row: NDArray[np.float64], count: int, axis: int
-) -> NDArray[np.float32]:
+def _along(pixel_row: Float64Array, ray_row: Float64Array, count: int, axis: int) -> Float32Array:
     """Return where `count` rays meet the picture along one axis, in its pixels."""
     metres = ray_row[axis] * np.arange(count) + ray_row[2]
     return np.asarray(pixel_row[axis] * metres + pixel_row[2], np.float32)
 
 
-def _inside(
-    corners: NDArray[np.float64], x: NDArray[np.float32], y: NDArray[np.float32]
-) -> NDArray[np.bool_]:
+def _inside(corners: Float64Array, x: Float32Array, y: Float32Array) -> BoolArray:
     """Return which points lie inside a convex, counter-clockwise polygon."""
     inside = np.ones(x.shape, np.bool_)
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -341,7 +333,7 @@ def _inside(
 
 
 def _draw_boxes(
-    image: NDArray[np.float32],
+    image: Float32Array,
     boxes: tuple[Box, ...],
     world_from_robot: Pose2,
     calibration: Calibration,
@@ -363,7 +355,7 @@ def _draw_boxes(
 
 def _box_faces(
     box: Box, robot_from_box: Pose2, calibration: Calibration
-) -> list[tuple[float, NDArray[np.float64], tuple[float, float, float]]]:
+) -> list[tuple[float, Float64Array, tuple[float, float, float]]]:
     """Return (distance, (N, 2) pixels, colour) of the faces that look at the camera."""
     length, width, height = box.size_metres
     outline = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (length / 2, width / 2)
@@ -394,7 +386,7 @@ def _box_faces(
     return faces  # type: ignore[return-value]
 
 
-def _project(points: NDArray[np.float64], calibration: Calibration) -> NDArray[np.float64] | None:
+def _project(points: Float64Array, calibration: Calibration) -> Float64Array | None:
     """Project (N, 3) robot points, metres, to pixels; None when one is not well ahead."""
     rotation = projection.robot_from_camera_rotation(
         calibration.pitch_radians, calibration.roll_radians

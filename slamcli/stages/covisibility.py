@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import csgraph, csr_array
 from scipy.spatial import ConvexHull, KDTree
 
+from slamcli.core.arrays import BoolArray, Float64Array, Int64Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import compose_poses, relative_poses
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Calibration
 
 _SAMPLES_A_SIDE = 14
 _FRAMES_AT_ONCE = 64
@@ -44,7 +39,7 @@ class Footprint:
         self.centre = self._points.mean(axis=0)
         self.radius_metres = float(np.linalg.norm(corners - self.centre, axis=1).max())
 
-    def overlaps(self, a_from_b: NDArray[np.float64]) -> NDArray[np.float64]:
+    def overlaps(self, a_from_b: Float64Array) -> Float64Array:
         """Return the shares of b's floor that a sees too, for (N, 3) motions x, y, theta."""
         cosine, sine = np.cos(a_from_b[:, 2:]), np.sin(a_from_b[:, 2:])
         x, y = self._points.T
@@ -55,10 +50,10 @@ class Footprint:
             ],
             axis=-1,
         )
-        shares: NDArray[np.float64] = self._inside(places).mean(axis=-1)
+        shares: Float64Array = self._inside(places).mean(axis=-1)
         return shares
 
-    def _inside(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def _inside(self, points: Float64Array) -> BoolArray:
         edges = points @ self._normals.T + self._offsets
         return np.asarray((edges <= 0.0).all(axis=-1))
 
@@ -79,15 +74,15 @@ class Pairs:
     """
 
     b: int
-    a: NDArray[np.int64]
-    a_from_b: NDArray[np.float64]
-    uncertainties: NDArray[np.float64]
+    a: Int64Array
+    a_from_b: Float64Array
+    uncertainties: Float64Array
 
 
 def pairs(
-    poses: NDArray[np.float64],
-    tied: NDArray[np.int64],
-    uncertainties: NDArray[np.float64],
+    poses: Float64Array,
+    tied: Int64Array,
+    uncertainties: Float64Array,
     footprint: Footprint,
     *,
     least_overlap: float,

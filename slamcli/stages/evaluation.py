@@ -7,19 +7,14 @@ in the plane: the evo package gives the same numbers.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtri
 
+from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2, compose_poses, relative_poses
-from slamcli.core.trajectory import Accuracy, Consistency, Evaluation, Statistics
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.trajectory import Trajectory
+from slamcli.core.trajectory import Accuracy, Consistency, Evaluation, Statistics, Trajectory
 
 _BOUND_95 = float(chdtri(3, 0.05))
 
@@ -62,7 +57,7 @@ def evaluate(
 
 def match_poses(
     estimate: Trajectory, truth: Trajectory, tolerance_seconds: float
-) -> tuple[str, NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[str, Int64Array, Int64Array]:
     """Return by what poses were matched, and the indices of the pairs in both trajectories."""
     if estimate.stamps is not None and truth.stamps is not None:
         pairs = _nearest_pairs(estimate.stamps, truth.stamps, tolerance_seconds)
@@ -92,7 +87,7 @@ def match_poses(
     return "order", rows, rows
 
 
-def align(points: NDArray[np.float64], true_points: NDArray[np.float64]) -> Pose2:
+def align(points: Float64Array, true_points: Float64Array) -> Pose2:
     """Return ``truth_from_map``, the rigid motion that brings (N, 2) points nearest to others.
 
     Least squares without scale (Umeyama, PAMI 1991, eqs. 40-41; in the plane the rotation is the
@@ -111,9 +106,9 @@ class _Errors:
     def __init__(
         self,
         fragment: int,
-        poses: NDArray[np.float64],
-        true_poses: NDArray[np.float64],
-        sigmas: NDArray[np.float64] | None,
+        poses: Float64Array,
+        true_poses: Float64Array,
+        sigmas: Float64Array | None,
         delta: int,
     ) -> None:
         self.fragment = fragment
@@ -157,7 +152,7 @@ def _accuracy(fragment: int | None, parts: list[_Errors], delta: int) -> Accurac
     )
 
 
-def _statistics(parts: list[NDArray[np.float64]]) -> Statistics:
+def _statistics(parts: list[Float64Array]) -> Statistics:
     errors = np.concatenate(parts)
     if not len(errors):
         return Statistics(math.nan, math.nan, math.nan, math.nan)
@@ -170,8 +165,8 @@ def _statistics(parts: list[NDArray[np.float64]]) -> Statistics:
 
 
 def _normalised_errors(
-    poses: NDArray[np.float64], true_poses: NDArray[np.float64], sigmas: NDArray[np.float64]
-) -> NDArray[np.float64]:
+    poses: Float64Array, true_poses: Float64Array, sigmas: Float64Array
+) -> Float64Array:
     """Return the squared error over variance, summed over x, y, heading, of each pose but one.
 
     The map is where its surest pose is, so that pose is laid on its truth and left out. A best
@@ -186,13 +181,13 @@ def _normalised_errors(
     expected = compose_poses(poses[anchor], motions)
     error = poses[rest] - expected
     error[:, 2] = relative_poses(expected, poses[rest])[:, 2]
-    summed: NDArray[np.float64] = np.sum((error / sigmas[rest]) ** 2, axis=1)
+    summed: Float64Array = np.sum((error / sigmas[rest]) ** 2, axis=1)
     return summed
 
 
 def _nearest_pairs(
-    stamps: NDArray[np.float64], true_stamps: NDArray[np.float64], tolerance_seconds: float
-) -> NDArray[np.int64]:
+    stamps: Float64Array, true_stamps: Float64Array, tolerance_seconds: float
+) -> Int64Array:
     """Return (M, 2) indices of stamps nearest to one another, each used once, in time's order."""
     ours, theirs = np.argsort(stamps, kind="stable"), np.argsort(true_stamps, kind="stable")
     turned = len(theirs) < len(ours)

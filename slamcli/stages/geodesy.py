@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import ArrayLike
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.errors import InputError
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
 
 
 def projection(datum_degrees: tuple[float, float]) -> str:
@@ -54,7 +51,7 @@ class LocalPlane:
         east, north = self._plane_from_earth.transform(longitude_degrees, latitude_degrees)
         return float(east), float(north)
 
-    def geodetic(self, east_north: ArrayLike) -> NDArray[np.float64]:
+    def geodetic(self, east_north: ArrayLike) -> Float64Array:
         """Return (N, 2) WGS84 latitude and longitude, degrees, of (N, 2) metres."""
         metres = np.asarray(east_north, dtype=np.float64).reshape(-1, 2)
         longitudes, latitudes = self._plane_from_earth.transform(

@@ -8,15 +8,12 @@ with its own mean and contrast, is neither.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import View
+from slamcli.core.arrays import Float32Array, Float64Array
+from slamcli.core.records import View
 
 # Of the pixels of a; coarse enough to forgive a pixel of misfit or of blur.
 _MOST_PIXELS = 250_000
@@ -27,7 +24,7 @@ _LEAST_WINDOWS = 6
 _SMOOTHING_PIXELS = 1.2
 
 
-def local_correlation(view_a: View, view_b: View, a_from_b: NDArray[np.float64]) -> float:
+def local_correlation(view_a: View, view_b: View, a_from_b: Float64Array) -> float:
     """Return the median normalised cross-correlation of small windows of the overlap.
 
     Parameters
@@ -61,8 +58,8 @@ def local_correlation(view_a: View, view_b: View, a_from_b: NDArray[np.float64])
 
 
 def _resample(
-    view: View, common_from_metres: NDArray[np.float64], size: tuple[int, int], pixel: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    view: View, common_from_metres: Float64Array, size: tuple[int, int], pixel: float
+) -> tuple[Float32Array, Float32Array]:
     """Return a view and its mask (0 or 1) on the common raster, low-passed to its resolution."""
     image = view.image.astype(np.float32)
     coarser = pixel / view.grid.metres_per_pixel
@@ -75,12 +72,10 @@ def _resample(
     return np.asarray(smooth, np.float32), (mask == 255).astype(np.float32)
 
 
-def _median_of_windows(
-    first: NDArray[np.float32], second: NDArray[np.float32], seen: NDArray[np.float32]
-) -> float:
+def _median_of_windows(first: Float32Array, second: Float32Array, seen: Float32Array) -> float:
     side = (_WINDOW_PIXELS, _WINDOW_PIXELS)
 
-    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def mean(values: Float64Array) -> Float64Array:
         return np.asarray(cv2.blur(values, side, borderType=cv2.BORDER_CONSTANT), np.float64)
 
     whole = mean(seen.astype(np.float64)) > 0.999

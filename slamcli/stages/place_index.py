@@ -10,16 +10,14 @@ of constant scale), and chance does not.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from slamcli.core.arrays import Float32Array, Float64Array, Int32Array, Int64Array, UInt64Array
 from slamcli.core.geometry import Pose2
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Features
+from slamcli.core.records import Features
 
 Kind = TypeVar("Kind", bound=np.generic)
 
@@ -172,7 +170,7 @@ class PlaceIndex:
         )
         self._heads = self._empty_heads()
 
-    def _empty_heads(self) -> NDArray[np.int32]:
+    def _empty_heads(self) -> Int32Array:
         return np.full((_TABLES, 2 ** self._bits.shape[1]), -1, np.int32)
 
     def _reserve(self, count: int, words: int) -> None:
@@ -187,13 +185,13 @@ class PlaceIndex:
         self._points = _enlarged(self._points, (capacity, 3))
         self._keyframe_of = _enlarged(self._keyframe_of, (capacity,))
 
-    def _keys(self, words: NDArray[np.uint64]) -> NDArray[np.int64]:
+    def _keys(self, words: UInt64Array) -> Int64Array:
         """Return (N, tables): where each descriptor lies in each table."""
         bits = np.unpackbits(words.view(np.uint8), axis=1)
         weights = 1 << np.arange(self._bits.shape[1], dtype=np.int64)
         return np.asarray(bits[:, self._bits].astype(np.int64) @ weights)
 
-    def _chain(self, words: NDArray[np.uint64], first: int) -> None:
+    def _chain(self, words: UInt64Array, first: int) -> None:
         """Put entries, numbered from `first` on, in front of what their buckets hold already."""
         for table, keys in enumerate(self._keys(words).T):
             order = np.argsort(keys, kind="stable")
@@ -206,9 +204,7 @@ class PlaceIndex:
             last = np.r_[~follows[1:], True]
             heads[ordered[last]] = entries[last]
 
-    def _look_up(
-        self, words: NDArray[np.uint64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    def _look_up(self, words: UInt64Array) -> tuple[Int64Array, Int64Array, Int64Array]:
         """Return pairs (query, entry) of descriptors that are alike, and by how many bits not."""
         keys = self._keys(words)
         tables = np.arange(_TABLES)
@@ -235,16 +231,16 @@ class PlaceIndex:
         return query[once], entry[once], unlike[once]
 
 
-def _strongest(features: Features, count: int) -> NDArray[np.int64]:
+def _strongest(features: Features, count: int) -> Int64Array:
     return np.sort(np.argsort(-features.scores, kind="stable")[:count])
 
 
-def _points_of(features: Features, chosen: NDArray[np.int64]) -> NDArray[np.float32]:
+def _points_of(features: Features, chosen: Int64Array) -> Float32Array:
     """Return (N, 3) float32: x, y and the larger sigma, metres."""
     return np.column_stack([features.points[chosen], features.sigmas[chosen].max(axis=1)])
 
 
-def _words_of(features: Features, chosen: NDArray[np.int64]) -> NDArray[np.uint64]:
+def _words_of(features: Features, chosen: Int64Array) -> UInt64Array:
     """Return binary descriptors as (N, words of 64 bits)."""
     descriptors = features.descriptors[chosen]
     if features.norm == "l2":
@@ -263,9 +259,7 @@ def _enlarged(array: NDArray[Kind], shape: tuple[int, ...]) -> NDArray[Kind]:
     return larger
 
 
-def _agree(
-    points_a: NDArray[np.float32], points_b: NDArray[np.float32]
-) -> tuple[Pose2, int] | None:
+def _agree(points_a: Float32Array, points_b: Float32Array) -> tuple[Pose2, int] | None:
     """Return the rigid motion ``a_from_b`` that most matched points agree with, and how many.
 
     Every pair of matches that keeps its distance gives a hypothesis; the longest ones are tried.
@@ -308,12 +302,12 @@ def _agree(
 
 
 def _residuals(
-    turns: NDArray[np.float64],
-    middle_a: NDArray[np.float64],
-    middle_b: NDArray[np.float64],
-    a: NDArray[np.float64],
-    b: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    turns: Float64Array,
+    middle_a: Float64Array,
+    middle_b: Float64Array,
+    a: Float64Array,
+    b: Float64Array,
+) -> Float64Array:
     """Return (K, M) distances of matches under K motions that turn and carry one middle over."""
     cosine, sine = np.cos(turns)[:, None], np.sin(turns)[:, None]
     x = b[None, :, 0] - middle_b[:, :1]
@@ -323,7 +317,7 @@ def _residuals(
     return np.hypot(away_x, away_y)
 
 
-def _rigid(a: NDArray[np.float64], b: NDArray[np.float64], weights: NDArray[np.float64]) -> Pose2:
+def _rigid(a: Float64Array, b: Float64Array, weights: Float64Array) -> Pose2:
     """Return the weighted least-squares rigid motion (Umeyama, PAMI 13, 1991, in the plane)."""
     share = weights / weights.sum()
     middle_a, middle_b = share @ a, share @ b

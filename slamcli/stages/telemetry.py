@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from slamcli.core.arrays import BoolArray, Float64Array
 from slamcli.core.geometry import Pose2, compose_poses, relative_poses
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from slamcli.core.telemetry import OdometryReading, TelemetryOptions
+from slamcli.core.telemetry import OdometryReading, TelemetryOptions
 
 # Stamps are written with six decimals, so that one moment may differ by this in two files.
 SAME_MOMENT_SECONDS = 2e-6
@@ -87,7 +83,7 @@ def interpolate(first: Pose2, second: Pose2, share: float) -> Pose2:
     return Pose2(*map(float, row))
 
 
-def interpolate_poses(first: ArrayLike, second: ArrayLike, share: ArrayLike) -> NDArray[np.float64]:
+def interpolate_poses(first: ArrayLike, second: ArrayLike, share: ArrayLike) -> Float64Array:
     """Return the (..., 3) poses at a share (...) of the arc between (..., 3) poses.
 
     The arc is the motion of constant speed and turn: ``first exp(share log(first^-1 second))``
@@ -106,7 +102,7 @@ def interpolate_poses(first: ArrayLike, second: ArrayLike, share: ArrayLike) -> 
     return compose_poses(first, np.stack([x, y, turn], axis=-1))
 
 
-def _arc(turn: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _arc(turn: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Return sin(turn) / turn and (1 - cos(turn)) / turn."""
     small = np.abs(turn) < _SMALL_ANGLE_RADIANS
     safe = np.where(small, 1.0, turn)
@@ -115,7 +111,7 @@ def _arc(turn: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.flo
     )
 
 
-def motion_covariance(motion: Pose2, options: TelemetryOptions) -> NDArray[np.float64]:
+def motion_covariance(motion: Pose2, options: TelemetryOptions) -> Float64Array:
     """Return the (3, 3) covariance of a motion that odometry tells, in its end's own axes."""
     distance, turn = motion.translation_length, abs(motion.theta)
     memory = options.odometry_memory_metres
@@ -188,7 +184,7 @@ def estimate_time_offset(
 
 
 def _peak(
-    likelihood: Callable[[float], tuple[float, float]], grid: NDArray[np.float64]
+    likelihood: Callable[[float], tuple[float, float]], grid: Float64Array
 ) -> TimeOffset | None:
     """Return the inner maximum over the grid, refined; None when it is flat or at an end."""
     values = np.array([likelihood(float(offset))[0] for offset in grid])
@@ -209,9 +205,7 @@ def _peak(
     return TimeOffset(offset, sigma, correlation)
 
 
-def _sample(
-    stamps: NDArray[np.float64], poses: NDArray[np.float64], moments: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _sample(stamps: Float64Array, poses: Float64Array, moments: Float64Array) -> Float64Array:
     """Return the (M, 3) poses at (M,) moments, those outside held at the ends."""
     after = np.clip(np.searchsorted(stamps, moments), 1, len(stamps) - 1)
     span = np.maximum(stamps[after] - stamps[after - 1], SAME_MOMENT_SECONDS)
@@ -219,14 +213,14 @@ def _sample(
     return interpolate_poses(poses[after - 1], poses[after], share)
 
 
-def _rates(moments: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rates(moments: Float64Array, poses: Float64Array) -> Float64Array:
     """Return (M - 1, 2): speed along the robot's axis (m/s) and turn (rad/s)."""
     motions = relative_poses(poses[:-1], poses[1:])
     spans = np.maximum(np.diff(moments), SAME_MOMENT_SECONDS)
     return motions[:, [0, 2]] / spans[:, None]
 
 
-def _likelihood(felt: NDArray[np.float64], seen: NDArray[np.float64]) -> tuple[float, float]:
+def _likelihood(felt: Float64Array, seen: Float64Array) -> tuple[float, float]:
     """Return the log-likelihood up to a constant, and the better correlation."""
     total, best = 0.0, 0.0
     for x, y in zip(felt.T, seen.T, strict=True):
@@ -241,15 +235,15 @@ def _likelihood(felt: NDArray[np.float64], seen: NDArray[np.float64]) -> tuple[f
     return total, best
 
 
-def _fitting(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _fitting(x: Float64Array, y: Float64Array) -> BoolArray:
     """Return which pairs lie near a line: a wheel that slips once would outweigh all the rest."""
     away = np.abs(x - np.median(x))
-    kept: NDArray[np.bool_] = away <= float(np.percentile(away, 98.0))
+    kept: BoolArray = away <= float(np.percentile(away, 98.0))
     spread = float(np.var(x[kept]))
     if spread < _LEAST_ENERGY:
         return kept
     gain = float(np.mean((x[kept] - x[kept].mean()) * (y[kept] - y[kept].mean()))) / spread
     residuals = y - gain * x
     residuals = np.abs(residuals - np.median(residuals))
-    fitting: NDArray[np.bool_] = residuals <= _OUTLIER_DEVIATIONS * float(np.median(residuals))
+    fitting: BoolArray = residuals <= _OUTLIER_DEVIATIONS * float(np.median(residuals))
     return fitting

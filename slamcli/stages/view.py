@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from slamcli.core.arrays import BoolArray, Float32Array, Int16Array, UInt8Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid, Pose2
-from slamcli.core.records import View
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Calibration, Frame
+from slamcli.core.records import Frame, View
 
 # A view of about a megapixel carries enough points, and warps and detects in milliseconds. Of a
 # picture that has many pixels to each of the view's, half as many serve as well: each is the mean
@@ -58,7 +53,7 @@ class Resampler:
     """
 
     grid: Grid
-    mask: NDArray[np.uint8]
+    mask: UInt8Array
     bands: tuple[Band, ...]
 
 
@@ -69,9 +64,9 @@ class Band:
     level: int
     rows: slice
     columns: slice
-    inside: NDArray[np.uint8]
-    columns_read: NDArray[np.float32]
-    rows_read: NDArray[np.float32]
+    inside: UInt8Array
+    columns_read: Float32Array
+    rows_read: Float32Array
 
 
 def registration_metres_per_pixel(calibration: Calibration) -> float:
@@ -86,7 +81,7 @@ def registration_metres_per_pixel(calibration: Calibration) -> float:
 
 def make_resampler(
     calibration: Calibration,
-    sharpness: NDArray[np.float32],
+    sharpness: Float32Array,
     grid: Grid,
     robot_from_grid: Pose2,
 ) -> Resampler:
@@ -124,10 +119,10 @@ def make_resampler(
 def _maps(
     mapping: projection.SamplingMap,
     part: tuple[slice, slice],
-    inside: NDArray[np.bool_],
+    inside: BoolArray,
     image_size: tuple[int, int],
     level: int,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[Float32Array, Float32Array]:
     """Return the columns and rows to read in one level of the picture's pyramid.
 
     All within the level's picture, its border repeated: OpenCV is slow where a map leads outside.
@@ -159,7 +154,7 @@ def make_far_resampler(calibration: Calibration, metres_per_pixel: float) -> Res
     return make_view_resampler(far, _FAR_COARSER * metres_per_pixel)
 
 
-def resample(image: NDArray[np.uint8], resampler: Resampler) -> NDArray[np.uint8]:
+def resample(image: UInt8Array, resampler: Resampler) -> UInt8Array:
     """Paint the raster from a picture (H, W) or (H, W, 3); black where no floor is seen."""
     grid = resampler.grid
     painted = np.zeros((grid.height, grid.width, *image.shape[2:]), dtype=np.uint8)
@@ -185,13 +180,13 @@ def make_compared_views(frame: Frame, resamplers: Iterable[Resampler]) -> list[V
     return [View(r.grid, resample(image, r), _seen(frame, r), noise) for r in resamplers]
 
 
-def _seen(frame: Frame, resampler: Resampler) -> NDArray[np.uint8]:
+def _seen(frame: Frame, resampler: Resampler) -> UInt8Array:
     if frame.mask is None:
         return resampler.mask
     return np.where(resample(frame.mask, resampler) == 255, resampler.mask, np.uint8(0))
 
 
-def noise_gray(image: NDArray[np.uint8]) -> float:
+def noise_gray(image: UInt8Array) -> float:
     """Return about one standard deviation of the noise in a gray camera picture (H, W).
 
     What neither planes nor edges leave (Immerkaer, Computer Vision and Image Understanding 64,
@@ -210,7 +205,7 @@ def noise_gray(image: NDArray[np.uint8]) -> float:
     return float(np.quantile(sizes, _SMOOTHEST_SHARE)) / (6.0 * 0.6745)
 
 
-def _blocks(image: NDArray[np.uint8]) -> NDArray[np.int16]:
+def _blocks(image: UInt8Array) -> Int16Array:
     """Return square blocks spread over a picture, (N, side, side), N at most some hundreds."""
     height, width = image.shape
     step = max(_NOISE_BLOCK_PIXELS, math.isqrt(height * width // _NOISE_BLOCKS))
@@ -219,14 +214,14 @@ def _blocks(image: NDArray[np.uint8]) -> NDArray[np.int16]:
     return spread.astype(np.int16)
 
 
-def to_gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def to_gray(image: UInt8Array) -> UInt8Array:
     """Return (H, W) luminance of a gray or BGR picture."""
     if image.ndim == 2:
         return image
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
-def to_colour(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def to_colour(image: UInt8Array) -> UInt8Array:
     """Return (H, W, 3) BGR of a gray or BGR picture."""
     if image.ndim == 3:
         return image
@@ -264,6 +259,6 @@ def check_view(view: View) -> None:
         raise FrameError(f"overexposed: {saturated:.0%} of the floor is white; lower the exposure")
 
 
-def _extent(inside: NDArray[np.bool_], axis: int) -> slice:
+def _extent(inside: BoolArray, axis: int) -> slice:
     indices = np.flatnonzero(inside.any(axis=axis))
     return slice(int(indices[0]), int(indices[-1]) + 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -11,8 +12,6 @@ from slamcli.cli.options.values import PATH, POSITIVE, Size
 from slamcli.core.config import FeatureOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from slamcli.run.networks import NetworkFiles
 
 _FEATURES = FeatureOptions()

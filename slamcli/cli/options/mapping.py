@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import click
 
@@ -10,9 +11,6 @@ from slamcli.cli.options.common import picked, stacked
 from slamcli.cli.options.features import FEATURES
 from slamcli.cli.options.values import NOT_NEGATIVE, POSITIVE
 from slamcli.core.config import FeatureOptions, MapperOptions, MatchOptions
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _MAPPER = MapperOptions()
 

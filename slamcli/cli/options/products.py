@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import click
 
 from slamcli.cli.options.common import metres_per_pixel, stacked
 from slamcli.cli.options.values import POSITIVE, Bytes, Choices, Reals
 from slamcli.core.config import Datum, PaintOptions, ProductOptions
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _PRODUCTS = ProductOptions()
 

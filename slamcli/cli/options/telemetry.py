@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import click
 
 from slamcli.cli.options.common import stacked
 from slamcli.cli.options.values import PATH, POSITIVE, Measured
 from slamcli.core.telemetry import TelemetryOptions
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _TELEMETRY = TelemetryOptions()
 

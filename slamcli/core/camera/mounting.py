@@ -4,35 +4,31 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
+from slamcli.core.camera.calibration import Calibration, Rocking
 from slamcli.core.geometry import invert
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
-    from slamcli.core.records import Calibration, Rocking
-
-
-def robot_from_camera_rotation(pitch_radians: float, roll_radians: float) -> NDArray[np.float64]:
+def robot_from_camera_rotation(pitch_radians: float, roll_radians: float) -> Float64Array:
     """Return the (3, 3) rotation from optical (x right, y down, z ahead) to robot axes."""
     level = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     cos_pitch, sin_pitch = math.cos(pitch_radians), math.sin(pitch_radians)
     cos_roll, sin_roll = math.cos(roll_radians), math.sin(roll_radians)
     about_y = np.array([[cos_pitch, 0.0, sin_pitch], [0.0, 1.0, 0.0], [-sin_pitch, 0.0, cos_pitch]])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cos_roll, -sin_roll], [0.0, sin_roll, cos_roll]])
-    rotation: NDArray[np.float64] = about_y @ about_x @ level
+    rotation: Float64Array = about_y @ about_x @ level
     return rotation
 
 
 def image_from_robot_homography(
-    camera_matrix: NDArray[np.float64],
+    camera_matrix: Float64Array,
     height_metres: float,
     pitch_radians: float,
     roll_radians: float,
-) -> NDArray[np.float64]:
+) -> Float64Array:
     """Return the (3, 3) homography from floor metres to undistorted pixels.
 
     The camera's centre is (0, 0, height) in the robot frame, so a floor point (x, y) is seen along
@@ -41,16 +37,16 @@ def image_from_robot_homography(
     """
     camera_from_robot = robot_from_camera_rotation(pitch_radians, roll_radians).T
     plane = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -height_metres]])
-    homography: NDArray[np.float64] = camera_matrix @ camera_from_robot @ plane
+    homography: Float64Array = camera_matrix @ camera_from_robot @ plane
     return homography
 
 
 def compose_robot_from_image(
-    camera_matrix: NDArray[np.float64],
+    camera_matrix: Float64Array,
     height_metres: float,
     pitch_radians: float,
     roll_radians: float,
-) -> NDArray[np.float64]:
+) -> Float64Array:
     """Return the (3, 3) homography from undistorted pixels to floor metres."""
     return invert(
         image_from_robot_homography(camera_matrix, height_metres, pitch_radians, roll_radians)

@@ -9,23 +9,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
+from slamcli.core.arrays import BoolArray, Float32Array, Float64Array
+from slamcli.core.camera.calibration import Calibration, Intrinsics
 from slamcli.core.camera.mounting import compose_robot_from_image as compose_robot_from_image
 from slamcli.core.camera.mounting import image_from_robot_homography as image_from_robot_homography
 from slamcli.core.camera.mounting import robot_from_camera_rotation as robot_from_camera_rotation
 from slamcli.core.errors import CalibrationError
-from slamcli.core.geometry import Grid, apply_homography, invert
-from slamcli.core.records import Calibration, Intrinsics
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from slamcli.core.geometry import Pose2
+from slamcli.core.geometry import Grid, Pose2, apply_homography, invert
 
 # Beyond this multiple of the sampling at the near edge, a pixel smears so much floor that a patch
 # no longer looks like itself from one step nearer.
@@ -71,7 +67,7 @@ def top_down_calibration(image_size: tuple[int, int]) -> Calibration:
     )
 
 
-def undistort_points(calibration: Lens, pixels: ArrayLike) -> NDArray[np.float64]:
+def undistort_points(calibration: Lens, pixels: ArrayLike) -> Float64Array:
     """Map (N, 2) pixels of the camera's own picture to (N, 2) undistorted pixels."""
     points = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
     if len(points) == 0 or not np.any(calibration.distortion):
@@ -90,7 +86,7 @@ def undistort_points(calibration: Lens, pixels: ArrayLike) -> NDArray[np.float64
     return np.asarray(mapped, dtype=np.float64).reshape(-1, 2)
 
 
-def distort_points(calibration: Lens, pixels: ArrayLike) -> NDArray[np.float64]:
+def distort_points(calibration: Lens, pixels: ArrayLike) -> Float64Array:
     """Map (N, 2) undistorted pixels to (N, 2) pixels of the camera's own picture."""
     points = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
     if len(points) == 0 or not np.any(calibration.distortion):
@@ -105,9 +101,7 @@ def distort_points(calibration: Lens, pixels: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(mapped, dtype=np.float64).reshape(-1, 2)
 
 
-def project_floor(
-    calibration: Calibration, points: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def project_floor(calibration: Calibration, points: ArrayLike) -> tuple[Float64Array, BoolArray]:
     """Project floor points into the camera's own picture.
 
     Parameters
@@ -137,7 +131,7 @@ def project_floor(
     return pixels, seen
 
 
-def floor_sampling(calibration: Calibration, points: ArrayLike) -> NDArray[np.float64]:
+def floor_sampling(calibration: Calibration, points: ArrayLike) -> Float64Array:
     """Return how many metres of floor one pixel covers at (N, 2) points in the robot frame.
 
     Returns
@@ -160,13 +154,13 @@ def floor_sampling(calibration: Calibration, points: ArrayLike) -> NDArray[np.fl
         ],
         axis=1,
     )
-    sampling: NDArray[np.float64] = 1.0 / pixels_per_metre
+    sampling: Float64Array = 1.0 / pixels_per_metre
     return sampling
 
 
 def range_sigma(
     calibration: Calibration, points: ArrayLike, tilt_sigma_radians: float
-) -> NDArray[np.float64]:
+) -> Float64Array:
     """Return (N,) metres by which floor points shift along the line of sight when the camera tilts.
 
     A point at distance d, seen from height h under the angle atan(h / d), moves by
@@ -177,13 +171,13 @@ def range_sigma(
         return np.zeros(len(floor))
     squared = np.einsum("ni,ni->n", floor, floor)
     height = calibration.height_metres
-    sigma: NDArray[np.float64] = (squared + height**2) / height * tilt_sigma_radians
+    sigma: Float64Array = (squared + height**2) / height * tilt_sigma_radians
     return sigma
 
 
 def line_of_sight_axes(
-    points: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    points: Float64Array,
+) -> tuple[Float64Array, Float64Array]:
     """Return the unit vectors on the floor along and across the line of sight, each (N, 2)."""
     distance = np.hypot(points[:, 0], points[:, 1])
     straight_below = distance < 1e-12
@@ -196,7 +190,7 @@ def line_of_sight_axes(
     return along, across
 
 
-def image_outline(image_size: tuple[int, int]) -> NDArray[np.float64]:
+def image_outline(image_size: tuple[int, int]) -> Float64Array:
     """Return (4 n, 2) pixels around the picture's border, clockwise from the upper left."""
     width, height = image_size
     step = np.linspace(0.0, 1.0, _OUTLINE_POINTS_PER_SIDE, endpoint=False)
@@ -209,11 +203,11 @@ def image_outline(image_size: tuple[int, int]) -> NDArray[np.float64]:
             np.column_stack([zero, 1.0 - step]),
         ]
     )
-    outline: NDArray[np.float64] = unit * (width - 1, height - 1)
+    outline: Float64Array = unit * (width - 1, height - 1)
     return outline
 
 
-def seen_floor(calibration: Calibration) -> NDArray[np.float64]:
+def seen_floor(calibration: Calibration) -> Float64Array:
     """Return (N, 2) floor points, metres, that fill the usable region about evenly in the picture.
 
     Raises
@@ -236,7 +230,7 @@ def seen_floor(calibration: Calibration) -> NDArray[np.float64]:
     return floor
 
 
-def footprint_hull(calibration: Calibration) -> NDArray[np.float64]:
+def footprint_hull(calibration: Calibration) -> Float64Array:
     """Return the (N, 2) convex outline, metres in the robot frame, of the usable floor."""
     floor = seen_floor(calibration)
     # The lattice of seen_floor stops short of the far limit; rays at that limit close the gap.
@@ -267,7 +261,7 @@ def default_metres_per_pixel(calibration: Calibration) -> float:
 
 
 @lru_cache(maxsize=2)
-def sharpness_image(calibration: Calibration) -> NDArray[np.float32]:
+def sharpness_image(calibration: Calibration) -> Float32Array:
     """Return (H, W): how many pixels a metre of floor spans, at each pixel of the camera's picture.
 
     The geometric mean of both directions; 0 where the pixel shows no floor within range, or just
@@ -304,14 +298,14 @@ class SamplingMap:
         Of the raster given, at those places; 0 where the floor is not seen.
     """
 
-    columns: NDArray[np.float32]
-    rows: NDArray[np.float32]
-    sharpness: NDArray[np.float32]
+    columns: Float32Array
+    rows: Float32Array
+    sharpness: Float32Array
 
 
 def sampling_map(
     calibration: Calibration,
-    sharpness: NDArray[np.float32],
+    sharpness: Float32Array,
     grid: Grid,
     robot_from_grid: Pose2,
 ) -> SamplingMap:
@@ -349,8 +343,8 @@ def sampling_map(
 
 
 def _out_of_range(
-    calibration: Calibration, robot_from_pixel: NDArray[np.float64], grid: Grid
-) -> NDArray[np.bool_]:
+    calibration: Calibration, robot_from_pixel: Float64Array, grid: Grid
+) -> BoolArray:
     """Return (h, w): whether a raster's pixel lies beyond the range, by its place on the floor."""
     column = np.arange(grid.width, dtype=np.float32)
     row = np.arange(grid.height, dtype=np.float32)
@@ -360,13 +354,13 @@ def _out_of_range(
     along = scale * column**2 + 2 * float(offset @ matrix[:2, 0]) * column
     down = scale * row**2 + 2 * float(offset @ matrix[:2, 1]) * row
     limit = np.float32(calibration.max_range_metres**2 - float(offset @ offset))
-    beyond: NDArray[np.bool_] = along[None, :] > (limit - down)[:, None]
+    beyond: BoolArray = along[None, :] > (limit - down)[:, None]
     return beyond
 
 
 def _outside_undistorted(
-    calibration: Calibration, homography: NDArray[np.float64], grid: Grid
-) -> NDArray[np.bool_]:
+    calibration: Calibration, homography: Float64Array, grid: Grid
+) -> BoolArray:
     """Return (h, w): whether a raster's pixel lies outside the undistorted picture."""
     column = np.arange(grid.width, dtype=np.float32)[None, :]
     row = np.arange(grid.height, dtype=np.float32)[:, None]
@@ -374,13 +368,13 @@ def _outside_undistorted(
     low, high = undistorted_bounds(calibration).astype(np.float32)
     inside = (depth > 0) & (x >= low[0] * depth) & (x <= high[0] * depth)
     inside &= (y >= low[1] * depth) & (y <= high[1] * depth)
-    outside: NDArray[np.bool_] = ~inside
+    outside: BoolArray = ~inside
     return outside
 
 
 def undistorted_coordinates(
-    calibration: Calibration, columns: NDArray[np.float32], rows: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    calibration: Calibration, columns: Float32Array, rows: Float32Array
+) -> tuple[Float32Array, Float32Array]:
     """Return the undistorted pixels of many, (h, w) each, that lie within the camera's picture.
 
     Exact on a lattice of every fourth pixel, interpolated between its points.
@@ -403,8 +397,8 @@ def undistorted_coordinates(
 
 
 def choose_max_range(
-    camera_matrix: NDArray[np.float64],
-    image_from_robot: NDArray[np.float64],
+    camera_matrix: Float64Array,
+    image_from_robot: Float64Array,
     image_size: tuple[int, int],
 ) -> float:
     """Return the distance, metres, at which one pixel covers too much floor to be of use.
@@ -430,7 +424,7 @@ def choose_max_range(
     return float(np.hypot(floor[usable, 0], floor[usable, 1]).max())
 
 
-def undistorted_bounds(calibration: Calibration) -> NDArray[np.float64]:
+def undistorted_bounds(calibration: Calibration) -> Float64Array:
     """Return (2, 2): lowest and highest undistorted pixel that the picture's border maps to."""
     outline = undistort_points(calibration, image_outline(calibration.image_size))
     margin = 1.0

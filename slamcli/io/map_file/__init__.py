@@ -11,18 +11,21 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import numpy as np
 
+from slamcli.core.arrays import AnyArray
 from slamcli.core.errors import InputError, MapError
 from slamcli.core.records import (
     DescriptorNorm,
     Features,
     FloorMap,
     Keyframe,
+    PoseEstimate,
 )
 from slamcli.io.files import write_bytes
 from slamcli.io.map_file.header import (
@@ -35,13 +38,6 @@ from slamcli.io.map_file.header import (
     parse_word,
 )
 from slamcli.io.map_file.pose_graph import DRIVE_KINDS, drive_arrays, expect, parse_drive
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import PoseEstimate
 
 MAP_NAME = "map.slam"
 FORMAT_VERSION = 2
@@ -70,7 +66,7 @@ def save_map(path: Path, floor_map: FloorMap) -> None:
     keyframes = floor_map.keyframes
     rows = [(k.index, len(k.features), len(k.image), len(k.mask)) for k in keyframes]
     every = [keyframe.features for keyframe in keyframes]
-    arrays: dict[str, NDArray[Any]] = {
+    arrays: dict[str, AnyArray] = {
         **drive_arrays(floor_map.estimates, floor_map.links),
         "rows": np.array(rows, "<i8").reshape(-1, _ROW_COLUMNS),
         "points": _joined([f.points for f in every], "<f4"),
@@ -170,9 +166,9 @@ def _parse(body: bytes) -> FloorMap:
     )
 
 
-def _parse_arrays(listed: Any, data: memoryview) -> dict[str, NDArray[Any]]:
+def _parse_arrays(listed: Any, data: memoryview) -> dict[str, AnyArray]:
     """Cut the arrays out of the data, which they must fill exactly."""
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, AnyArray] = {}
     at = 0
     for name, known in _KINDS.items():
         kind, shape = listed[name]
@@ -192,7 +188,7 @@ def _parse_arrays(listed: Any, data: memoryview) -> dict[str, NDArray[Any]]:
 
 
 def _parse_keyframes(
-    arrays: dict[str, NDArray[Any]], norm: DescriptorNorm, frames: Mapping[int, PoseEstimate]
+    arrays: dict[str, AnyArray], norm: DescriptorNorm, frames: Mapping[int, PoseEstimate]
 ) -> tuple[Keyframe, ...]:
     _check_shapes(arrays, norm)
     rows, points = arrays["rows"], arrays["points"]
@@ -228,7 +224,7 @@ def _parse_keyframes(
     return tuple(keyframes)
 
 
-def _check_shapes(arrays: dict[str, NDArray[Any]], norm: DescriptorNorm) -> None:
+def _check_shapes(arrays: dict[str, AnyArray], norm: DescriptorNorm) -> None:
     """Refuse arrays that do not fit one another."""
     rows, points = arrays["rows"], arrays["points"]
     count, total = len(rows), len(points)
@@ -252,7 +248,7 @@ def _check_shapes(arrays: dict[str, NDArray[Any]], norm: DescriptorNorm) -> None
         raise MapError("the lengths of its pictures are wrong")
 
 
-def _check_numbers(arrays: dict[str, NDArray[Any]]) -> None:
+def _check_numbers(arrays: dict[str, AnyArray]) -> None:
     """Refuse numbers that no floor has."""
     for name in ("points", "scores", "sigmas", "sizes", "descriptors"):
         values = arrays[name]
@@ -267,5 +263,5 @@ def _check_numbers(arrays: dict[str, NDArray[Any]]) -> None:
         raise MapError("its angles hold a number that is not finite")
 
 
-def _joined(pieces: Sequence[NDArray[Any]], kind: Any) -> NDArray[Any]:
+def _joined(pieces: Sequence[AnyArray], kind: Any) -> AnyArray:
     return np.concatenate(pieces).astype(np.dtype(kind).newbyteorder("<"), copy=False)

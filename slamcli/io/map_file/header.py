@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
+from slamcli.core.camera.calibration import Calibration, DistortionModel, Unit
 from slamcli.core.config import FeatureMethod, FeatureOptions
 from slamcli.core.errors import MapError
-from slamcli.core.records import Calibration, DistortionModel, Unit
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _MOST_SIDE_PIXELS = 32_768
 MOST_METRES = 1e7
@@ -107,14 +105,14 @@ def parse_calibration(section: Any) -> Calibration:
     )
 
 
-def _square(value: Any, name: str) -> NDArray[np.float64]:
+def _square(value: Any, name: str) -> Float64Array:
     matrix = _matrix(value, name)
     if matrix.shape != (3, 3) or not abs(np.linalg.det(matrix)) > 0.0:
         raise MapError(f"its {name} is not a (3, 3) matrix that can be inverted")
     return matrix
 
 
-def _matrix(value: Any, name: str) -> NDArray[np.float64]:
+def _matrix(value: Any, name: str) -> Float64Array:
     matrix = np.array(value, np.float64)
     if matrix.size > 16 or not np.all(np.abs(matrix) < MOST_METRES):
         raise MapError(f"its {name} holds a number that is out of range")

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, get_args
+from collections.abc import Mapping, Sequence
+from typing import get_args
 
 import numpy as np
 
+from slamcli.core.arrays import AnyArray, Float64Array
+from slamcli.core.camera.calibration import Rocking
 from slamcli.core.errors import MapError
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Link, LinkKind, PoseEstimate, Rocking, Status
+from slamcli.core.records import Link, LinkKind, PoseEstimate, Status
 from slamcli.io.map_file.header import MOST_METRES
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
 
 DRIVE_KINDS = {
     "frames": "<i8",
@@ -36,9 +34,7 @@ _LINK_KINDS: tuple[LinkKind, ...] = get_args(LinkKind)
 _NO_COVARIANCE = np.full((3, 3), np.nan)
 
 
-def drive_arrays(
-    estimates: Sequence[PoseEstimate], links: Sequence[Link]
-) -> dict[str, NDArray[Any]]:
+def drive_arrays(estimates: Sequence[PoseEstimate], links: Sequence[Link]) -> dict[str, AnyArray]:
     """Return what `parse_drive` reads back; what only the drive itself needs is left out."""
     texts = [(e.name.encode(), e.reason.encode()) for e in estimates]
     frames = [
@@ -75,7 +71,7 @@ def _numbers(estimate: PoseEstimate) -> list[float]:
 
 
 def parse_drive(
-    arrays: Mapping[str, NDArray[Any]],
+    arrays: Mapping[str, AnyArray],
 ) -> tuple[tuple[PoseEstimate, ...], tuple[Link, ...]]:
     """Return estimates and links, each number checked; raises MapError."""
     _check_frames(arrays)
@@ -116,13 +112,13 @@ def parse_drive(
     return tuple(estimates), tuple(links)
 
 
-def expect(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...]) -> None:
+def expect(arrays: Mapping[str, AnyArray], name: str, shape: tuple[int, ...]) -> None:
     """Raise MapError when an array has another shape."""
     if arrays[name].shape != shape:
         raise MapError(f"its {name} have shape {arrays[name].shape}; {shape} is needed")
 
 
-def _check_frames(arrays: Mapping[str, NDArray[Any]]) -> None:
+def _check_frames(arrays: Mapping[str, AnyArray]) -> None:
     frames, numbers = arrays["frames"], arrays["frame_numbers"]
     count = len(frames)
     expect(arrays, "frames", (count, _FRAME_COLUMNS))
@@ -138,7 +134,7 @@ def _check_frames(arrays: Mapping[str, NDArray[Any]]) -> None:
     if np.isinf(numbers).any():
         raise MapError("its frames hold a number that is not finite")
     placed = np.isfinite(numbers[:, 1:4])
-    has_pose = frames[:, 2] != _STATUSES.index("lost")
+    has_pose = np.not_equal(frames[:, 2], _STATUSES.index("lost"))
     if not np.array_equal(placed.all(axis=1), has_pose) or placed.any(axis=1)[~has_pose].any():
         raise MapError("a placed frame has no pose, or a lost one has")
     _check_poses(numbers[has_pose, 1:3], arrays["frame_covariances"][has_pose])
@@ -147,7 +143,7 @@ def _check_frames(arrays: Mapping[str, NDArray[Any]]) -> None:
         raise MapError("a frame's rocking is not whole")
 
 
-def _check_links(arrays: Mapping[str, NDArray[Any]]) -> None:
+def _check_links(arrays: Mapping[str, AnyArray]) -> None:
     links, numbers = arrays["links"], arrays["link_numbers"]
     expect(arrays, "links", (len(links), _LINK_COLUMNS))
     expect(arrays, "link_numbers", (len(links), _LINK_NUMBERS))
@@ -164,9 +160,7 @@ def _check_links(arrays: Mapping[str, NDArray[Any]]) -> None:
     _check_poses(numbers[:, :2], arrays["link_covariances"], least=np.finfo(np.float64).tiny)
 
 
-def _check_poses(
-    places: NDArray[np.float64], covariances: NDArray[np.float64], least: float = -1e-12
-) -> None:
+def _check_poses(places: Float64Array, covariances: Float64Array, least: float = -1e-12) -> None:
     """Refuse what lies off the Earth, and what is no covariance."""
     if np.abs(places).max(initial=0.0) > MOST_METRES:
         raise MapError("a pose lies off the Earth")

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from pathlib import Path
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import UInt8Array
 from slamcli.core.errors import OutputError
 from slamcli.io.files import write_image, write_text
 from slamcli.io.raster.tile_store import reduced
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 
 def write_deep_zoom(
@@ -23,7 +19,7 @@ def write_deep_zoom(
     name: str,
     size: tuple[int, int],
     tile_pixels: int,
-    tiles: Iterable[tuple[int, int, NDArray[np.uint8]]],
+    tiles: Iterable[tuple[int, int, UInt8Array]],
 ) -> None:
     """Write NAME.dzi and NAME_files/LEVEL/COLUMN_ROW.png; tiles that show nothing are left out.
 
@@ -64,7 +60,7 @@ def write_deep_zoom(
     )
 
 
-def _children(folder: Path, row: int, column: int, tile_pixels: int) -> NDArray[np.uint8]:
+def _children(folder: Path, row: int, column: int, tile_pixels: int) -> UInt8Array:
     """Return the four tiles under one, as one picture; transparent where there is none."""
     children = np.zeros((2 * tile_pixels, 2 * tile_pixels, 4), np.uint8)
     for down in (0, 1):

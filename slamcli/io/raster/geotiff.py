@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array, GenericArray
+from slamcli.core.config import Datum
 from slamcli.core.errors import InputError, OutputError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import Datum
-
 
 _CACHE_MEGABYTES = 128
 
@@ -31,8 +26,8 @@ def write_geotiff(
     shape: tuple[int, int],
     bands: int,
     kind: str,
-    blocks: Iterable[tuple[int, int, NDArray[np.generic]]],
-    transform: NDArray[np.float64],
+    blocks: Iterable[tuple[int, int, GenericArray]],
+    transform: Float64Array,
     datum: Datum | None,
     nodata: float | None = None,
 ) -> None:
@@ -119,9 +114,7 @@ def write_geotiff(
         plain.unlink(missing_ok=True)
 
 
-def _write_block(
-    rasterio: Any, target: Any, row: int, column: int, pixels: NDArray[np.generic]
-) -> None:
+def _write_block(rasterio: Any, target: Any, row: int, column: int, pixels: GenericArray) -> None:
     """Write the part of a block that lies inside of the raster."""
     top, left = max(0, row), max(0, column)
     bottom, right = (

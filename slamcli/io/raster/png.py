@@ -8,19 +8,15 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import UInt8Array
 from slamcli.io.files import write_chunks
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _TRUE_COLOUR_WITH_ALPHA = 6
@@ -50,7 +46,7 @@ class Strip:
     length: int
 
 
-def compress(pixels: NDArray[np.uint8]) -> Strip:
+def compress(pixels: UInt8Array) -> Strip:
     """Compress (h, w, 4) uint8 BGRA rows, which go on to hold nothing of the rows above them."""
     height, width = pixels.shape[:2]
     colours = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGRA2RGBA), np.uint8).reshape(height, -1)

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import GenericArray, UInt8Array
 from slamcli.core.errors import InputError, OutputError
+from slamcli.core.geometry import Grid
+from slamcli.core.records import Tile
 from slamcli.io.files import write_bytes
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Grid
-    from slamcli.core.records import Tile
 
 _NAME = re.compile(r"(-?\d+)_(-?\d+)\.npz")
 
@@ -40,10 +35,10 @@ class StoredTile:
         unseen), ``views`` (uint16), ``last-frame`` (int32; -1: unseen).
     """
 
-    image: NDArray[np.uint8]
-    mask: NDArray[np.uint8]
-    standing: NDArray[np.uint8] | None
-    layers: dict[str, NDArray[np.generic]]
+    image: UInt8Array
+    mask: UInt8Array
+    standing: UInt8Array | None
+    layers: dict[str, GenericArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +94,7 @@ class TileStore:
             self._entries[row, column] = None
         else:
             mask = np.where(tile.sharpness > 0, np.uint8(255), np.uint8(0))
-            arrays: dict[str, NDArray[np.generic]] = {
+            arrays: dict[str, GenericArray] = {
                 "image": tile.image,
                 "mask": np.packbits(mask > 0, axis=1),
             }
@@ -167,7 +162,7 @@ class TileStore:
         tops, bottoms, lefts, rights = zip(*found, strict=True)
         return min(tops), max(bottoms), min(lefts), max(rights)
 
-    def flatten(self, grid: Grid) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    def flatten(self, grid: Grid) -> tuple[UInt8Array, UInt8Array]:
         """Return the picture (h, w, 3) BGR of a grid on whole map pixels, and its mask (h, w)."""
         image = np.zeros((grid.height, grid.width, 3), np.uint8)
         mask = np.zeros((grid.height, grid.width), np.uint8)
@@ -176,7 +171,7 @@ class TileStore:
             put_part(mask, tile.mask, row, column)
         return image, mask
 
-    def overview(self, grid: Grid, factor: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    def overview(self, grid: Grid, factor: int) -> tuple[UInt8Array, UInt8Array]:
         """Return picture and mask of a grid, reduced by a factor, without holding it at full size.
 
         Parameters
@@ -213,7 +208,7 @@ class TileStore:
             raise InputError(f"cannot read the finished tile {path}: {error}") from error
 
 
-def put_part(canvas: NDArray[np.generic], part: NDArray[np.generic], row: int, column: int) -> None:
+def put_part(canvas: GenericArray, part: GenericArray, row: int, column: int) -> None:
     """Write what falls inside of it into an array that the caller owns."""
     height, width = part.shape[:2]
     rows = slice(max(0, row), min(canvas.shape[0], row + height))
@@ -224,9 +219,7 @@ def put_part(canvas: NDArray[np.generic], part: NDArray[np.generic], row: int, c
         ]
 
 
-def reduced(
-    image: NDArray[np.uint8], mask: NDArray[np.uint8], factor: int
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def reduced(image: UInt8Array, mask: UInt8Array, factor: int) -> tuple[UInt8Array, UInt8Array]:
     """Return a picture and its mask, smaller by a factor: the mean of what was seen."""
     size = (image.shape[1] // factor, image.shape[0] // factor)
     if mask.all():
@@ -243,7 +236,7 @@ def reduced(
     )
 
 
-def _layer(tile: Tile, layer: str) -> NDArray[np.generic]:
+def _layer(tile: Tile, layer: str) -> GenericArray:
     if layer == "views":
         return tile.views
     if layer == "last-frame":
@@ -257,7 +250,7 @@ def _entry(tile: StoredTile | None) -> _Entry | None:
     return None if tile is None else _entry_of(tile.mask, stands=tile.standing is not None)
 
 
-def _entry_of(mask: NDArray[np.uint8], *, stands: bool) -> _Entry | None:
+def _entry_of(mask: UInt8Array, *, stands: bool) -> _Entry | None:
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if rows.size == 0:
         return None

@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 import numpy as np
 
-from slamcli.core.geometry import Pose2
+from slamcli.core.arrays import UInt8Array
+from slamcli.core.camera.calibration import Unit
+from slamcli.core.geometry import Grid, Pose2
 from slamcli.io.files import write_bytes, write_text
 from slamcli.io.raster import png
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Grid
-    from slamcli.core.records import Unit
 
 # The values that Nav2's map_saver writes for them.
 FREE_GRAY, OCCUPIED_GRAY, UNKNOWN_GRAY = 254, 0, 205
 _UPRIGHT = Pose2()
 
 
-def write_georeferenced_png(
-    path: Path, image: NDArray[np.uint8], mask: NDArray[np.uint8], grid: Grid
-) -> None:
+def write_georeferenced_png(path: Path, image: UInt8Array, mask: UInt8Array, grid: Grid) -> None:
     """Write BGR pixels, transparent where the mask is 0, with an ESRI world file (.pgw) beside.
 
     The world file holds the affine transform from pixel to metres, its origin at the centre of
@@ -37,7 +29,7 @@ def write_georeferenced_png(
     write_world_file(path.with_suffix(".pgw"), grid)
 
 
-def transparent(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def transparent(image: UInt8Array, mask: UInt8Array) -> UInt8Array:
     """Return (h, w, 4) BGRA of BGR pixels and a mask."""
     pixels = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2BGRA), np.uint8)
     return np.asarray(cv2.insertChannel(mask, pixels, 3), np.uint8)
@@ -69,7 +61,7 @@ def write_nav2_map(
     )
 
 
-def write_pgm(path: Path, gray: NDArray[np.uint8]) -> None:
+def write_pgm(path: Path, gray: UInt8Array) -> None:
     """Write (h, w) gray pixels as a binary PGM (P5)."""
     header = f"P5\n{gray.shape[1]} {gray.shape[0]}\n255\n".encode()
     write_bytes(path, header + np.ascontiguousarray(gray).tobytes())

@@ -6,25 +6,19 @@ connect fragments and are solved. No file, thread, clock or print.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Link, PoseEstimate
+from slamcli.core.records import Link, PoseEstimate, Prepared
+from slamcli.core.telemetry import Georeference
 from slamcli.mapping.backend.pose_graph import Track
 from slamcli.mapping.backend.sensors import Senses
 from slamcli.mapping.backend.smoother import Smoother
 from slamcli.stages import posegraph
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Prepared
-    from slamcli.core.telemetry import Georeference
 
 SAME_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
 
@@ -87,7 +81,7 @@ class Graph(Track):
         if moved := self._smoother.advance(index, links):
             self.revise(index, moved)
 
-    def carried(self, index: int, prepared: Prepared) -> tuple[Pose2, NDArray[np.float64]] | None:
+    def carried(self, index: int, prepared: Prepared) -> tuple[Pose2, Float64Array] | None:
         """Return how far odometry says a frame is from an earlier one, and how surely."""
         now = lost(prepared, "")
         link = self.senses.link(self[index], now)
@@ -185,7 +179,7 @@ def lost(frame: Prepared | PoseEstimate, reason: str) -> PoseEstimate:
 
 
 def _estimate(
-    prepared: Prepared, pose: Pose2, fragment: int, covariance: NDArray[np.float64]
+    prepared: Prepared, pose: Pose2, fragment: int, covariance: Float64Array
 ) -> PoseEstimate:
     return PoseEstimate(
         prepared.index, prepared.name, prepared.stamp, pose, "tracked", "", fragment, covariance

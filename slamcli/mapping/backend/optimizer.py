@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slamcli.core.geometry import Pose2
+from slamcli.core.records import Link, PoseEstimate
 from slamcli.core.telemetry import Georeference
+from slamcli.mapping.backend.sensors import Senses
 from slamcli.stages import posegraph
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
-    from slamcli.core.records import Link, PoseEstimate
-    from slamcli.mapping.backend.sensors import Senses
-    from slamcli.stages.posegraph import SenseOffsets
+from slamcli.stages.posegraph import SenseOffsets
 
 # A fragment so surely placed on Earth is tied to others that are.
 _SURE_HEADING_RADIANS = 0.1

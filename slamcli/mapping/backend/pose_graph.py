@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import Link, PoseEstimate
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import Link, PoseEstimate
 
 
 class Track:

@@ -4,27 +4,21 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right, insort
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from operator import attrgetter
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
+from numpy.typing import ArrayLike
+
+from slamcli.core.arrays import Float64Array
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Link
-from slamcli.core.telemetry import CompassReading, GpsReading, TelemetryOptions
+from slamcli.core.records import Link, PoseEstimate
+from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading, TelemetryOptions
 from slamcli.stages import telemetry
 from slamcli.stages.geodesy import LocalPlane
-from slamcli.stages.posegraph import Heading, Place
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import numpy as np
-    from numpy.typing import ArrayLike, NDArray
-
-    from slamcli.core.records import PoseEstimate
-    from slamcli.core.telemetry import OdometryReading
-    from slamcli.stages.posegraph import SenseOffsets
+from slamcli.stages.posegraph import Heading, Place, SenseOffsets
 
 Kind = TypeVar("Kind", CompassReading, GpsReading)
 
@@ -65,7 +59,7 @@ class Senses:
         self.options = replace(self.options, time_offset_seconds=seconds)
         self._track = telemetry.OdometryTrack(self.options)
 
-    def geodetic(self, east_north: ArrayLike) -> NDArray[np.float64]:
+    def geodetic(self, east_north: ArrayLike) -> Float64Array:
         """Return (N, 2) WGS84 latitude and longitude, degrees, of (N, 2) metres from the datum."""
         assert self._plane is not None
         return self._plane.geodetic(east_north)

@@ -6,21 +6,16 @@ between, a window of it, so seldom that a frame costs the same on a large map as
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-from slamcli.mapping.backend.optimizer import Weighing
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import Link
+from slamcli.core.telemetry import Georeference
+from slamcli.mapping.backend.optimizer import Weighed, Weighing
+from slamcli.mapping.backend.pose_graph import Track
+from slamcli.mapping.backend.sensors import Senses
 from slamcli.stages import posegraph
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import Link
-    from slamcli.core.telemetry import Georeference
-    from slamcli.mapping.backend.optimizer import Weighed
-    from slamcli.mapping.backend.pose_graph import Track
-    from slamcli.mapping.backend.sensors import Senses
 
 # While a map is smaller than this, or what compass and GPS are off by is not known yet, it is
 # solved anew as it grows by this share and so many frames.

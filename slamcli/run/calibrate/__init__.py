@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
+from slamcli.core.arrays import UInt8Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Intrinsics
 from slamcli.core.config import FeatureOptions
 from slamcli.core.errors import CalibrationError, FrameError, InputError, SlamcliError
 from slamcli.core.geometry import Pose2, apply_homography
-from slamcli.core.records import Frame, Intrinsics
+from slamcli.core.records import Frame
 from slamcli.drawing.calibration import birdseye_grid, draw_calibration
 from slamcli.io.calibrations import Origin, load_intrinsics, save_calibration
 from slamcli.io.files import refuse_existing, write_image
@@ -29,12 +32,6 @@ from slamcli.run.calibrate.mountings import (
 from slamcli.stages import calibrate as solving
 from slamcli.stages import features, square, view
 from slamcli.stages.calibrate import board
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 # How far a given corner may be off, one sigma, where nothing measured it.
 _GIVEN_CORNER_SIGMA_PIXELS = 0.5
@@ -172,7 +169,7 @@ def _calibrate(photo: Path, options: CalibrateOptions, intrinsics: Intrinsics | 
 
 
 def _find_target(
-    image: NDArray[np.uint8], options: CalibrateOptions, intrinsics: Intrinsics | None
+    image: UInt8Array, options: CalibrateOptions, intrinsics: Intrinsics | None
 ) -> Target:
     size = (image.shape[1], image.shape[0])
     lens = intrinsics or _plain_lens(size)

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array, UInt8Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.stages import calibrate as solving
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Calibration
 
 # Floor that a pixel covers more of than this shows no scuff, seam or painted edge sharply.
 RESOLVED_METRES_PER_PIXEL = 0.002
@@ -29,7 +24,7 @@ class Target:
 
     name: str
     points: solving.FloorPoints
-    outline: NDArray[np.float64]
+    outline: Float64Array
     notes: tuple[str, ...]
 
 
@@ -53,7 +48,7 @@ class Result:
     """
 
     photo: Path
-    image: NDArray[np.uint8]
+    image: UInt8Array
     target: Target
     mounting: solving.Mounting
     calibration: Calibration
@@ -115,7 +110,7 @@ def floor_areas(calibration: Calibration) -> tuple[float, float]:
     return area, area * float(weight[resolved].sum() / weight.sum())
 
 
-def _sampling(result: Result) -> list[tuple[str, NDArray[np.float64] | None]]:
+def _sampling(result: Result) -> list[tuple[str, Float64Array | None]]:
     """Return metres per pixel (along, across) at the near edge, at 1 m and at the far limit."""
     calibration = result.calibration
     far = calibration.max_range_metres
@@ -124,7 +119,7 @@ def _sampling(result: Result) -> list[tuple[str, NDArray[np.float64] | None]]:
         ("1 m" if far >= 1.0 else "1 m (not used)", 1.0),
         (f"the far limit ({far:.2f} m)", far),
     ]
-    sampled: list[tuple[str, NDArray[np.float64] | None]] = []
+    sampled: list[tuple[str, Float64Array | None]] = []
     for name, distance in places:
         ahead = np.array([[distance, 0.0]])
         depth = float(ahead[0] @ calibration.image_from_robot[2, :2]) + float(
@@ -160,10 +155,10 @@ def describe(result: Result) -> list[str]:
     ]
 
 
-def _cell(sampling: NDArray[np.float64] | None) -> str:
+def _cell(sampling: Float64Array | None) -> str:
     return "-" if sampling is None else f"{1000 * sampling[0]:.2f} x {1000 * sampling[1]:.2f}"
 
 
-def corner_text(corners: NDArray[np.float64]) -> str:
+def corner_text(corners: Float64Array) -> str:
     """Return corners, pixels, in the form that --corners takes."""
     return " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)

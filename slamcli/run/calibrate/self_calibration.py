@@ -3,35 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import CalibrationError, InputError
 from slamcli.core.geometry import Pose2, apply_homography
-from slamcli.io.calibrations import load_origin, save_calibration
+from slamcli.io.calibrations import Origin, load_origin, save_calibration
 from slamcli.io.files import refuse_existing
 from slamcli.io.frames import read_frame
-from slamcli.run.inputs import open_inputs
-from slamcli.run.session.executor import ordered
-from slamcli.run.stitch.frame_loop import register
+from slamcli.io.toml import Scalar
+from slamcli.run.frame_loop import register
+from slamcli.run.inputs import Inputs, open_inputs
+from slamcli.run.session.executor import Progress, ordered
 from slamcli.selfcal import Refinement, Registration, refine
 from slamcli.stages import calibrate as solving
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Calibration
-    from slamcli.io.calibrations import Origin
-    from slamcli.io.toml import Scalar
-    from slamcli.run.inputs import Inputs
-    from slamcli.run.session.executor import Progress
 
 
 def calibrate_by_frames(
@@ -103,7 +95,7 @@ def true_scale(origin: Origin | None, calibration: Calibration) -> float:
     edge, side = floor[1] - floor[0], target[1] - target[0]
     yaw = math.atan2(edge[1], edge[0]) - math.atan2(side[1], side[0])
 
-    def misfit(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def misfit(values: Float64Array) -> Float64Array:
         size, x, y, theta = (float(value) for value in values)
         placed = Pose2(x, y, theta).apply(math.exp(size) * target)
         seen = apply_homography(calibration.image_from_robot, placed)

@@ -5,20 +5,26 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array, UInt8Array
+from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions, TransformModel
 from slamcli.core.errors import InputError, OutputError
 from slamcli.core.geometry import apply_homography, invert
 from slamcli.drawing.correlation_surface import draw_surface
 from slamcli.drawing.matches import draw_matches
 from slamcli.drawing.obstacles import draw_standing
 from slamcli.io.files import refuse_existing, write_image
-from slamcli.run.inputs import open_inputs
+from slamcli.registration import Trial
+from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.match.fitting import (
     AUTO_FRONTS,
+    Fit,
     Front,
+    Picture,
     birdseye_picture,
     fit_pair,
     plain_picture,
@@ -33,17 +39,7 @@ from slamcli.run.networks import (
     with_point_network,
 )
 from slamcli.stages import view
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions, TransformModel
-    from slamcli.registration import Trial
-    from slamcli.run.inputs import Inputs
-    from slamcli.run.match.fitting import Fit, Picture
-    from slamcli.stages.dense import Standing
+from slamcli.stages.dense import Standing
 
 PLAIN_RATIO = 0.8
 DRAWING_SUFFIXES = (".png", ".jpg")
@@ -171,7 +167,7 @@ def _resolved(options: PairOptions, inputs: Inputs) -> tuple[FeatureOptions, Mat
     )
 
 
-def _second_from_first(pictures: tuple[Picture, Picture], fit: Fit) -> NDArray[np.float64] | None:
+def _second_from_first(pictures: tuple[Picture, Picture], fit: Fit) -> Float64Array | None:
     """Return metres to metres, or for plain pictures pixel to pixel (x right, y down)."""
     first_from_second = fit.alignment.a_from_b
     if first_from_second is None:
@@ -291,7 +287,7 @@ def _lines(facts: dict[str, object], fit: Fit) -> list[str]:
     return lines
 
 
-def _draw(pictures: tuple[Picture, Picture], fit: Fit, lines: list[str]) -> NDArray[np.uint8]:
+def _draw(pictures: tuple[Picture, Picture], fit: Fit, lines: list[str]) -> UInt8Array:
     """Draw plain pictures as they are, calibrated ones as their bird's-eye views."""
     first, second = pictures
     matches = fit.alignment.matches
@@ -315,14 +311,14 @@ def _draw(pictures: tuple[Picture, Picture], fit: Fit, lines: list[str]) -> NDAr
     return np.vstack([_widened(drawing, width), _widened(surface, width)])
 
 
-def _widened(picture: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
+def _widened(picture: UInt8Array, width: int) -> UInt8Array:
     """Return a picture with a bright margin at its right."""
     wide = np.full((picture.shape[0], width, 3), _MARGIN_GRAY, np.uint8)
     wide[:, : picture.shape[1]] = picture
     return wide
 
 
-def _shown(picture: Picture, marks: Standing | None) -> NDArray[np.uint8]:
+def _shown(picture: Picture, marks: Standing | None) -> UInt8Array:
     """Return a picture in colour, what stands on its floor in red."""
     plain = picture.calibration.unit == "px"
     shown = view.to_colour(picture.frame.image if plain else picture.view.image)

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import cv2
 import numpy as np
 
 from slamcli.core.camera import projection
-from slamcli.core.config import MapperOptions
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import FeatureMethod, FeatureOptions, MapperOptions, MatchOptions
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Grid
-from slamcli.core.records import Prepared, View
-from slamcli.io.frames import read_frame
+from slamcli.core.records import Alignment, Features, Frame, Prepared, View
+from slamcli.io.frames import FrameFile, read_frame
 from slamcli.registration import Trial, compare
 from slamcli.registration.preparation import assemble
 from slamcli.stages import align, dense, features, local_correlation, view
-
-if TYPE_CHECKING:
-    from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions
-    from slamcli.core.records import Alignment, Calibration, Features, Frame
-    from slamcli.io.frames import FrameFile
 
 LEAST_CORRELATION = 0.4
 # With several fronts to choose from, so few inliers are believed when the pixels agree this well.

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import BoolArray, Float64Array
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
-from slamcli.core.geometry import invert
+from slamcli.core.geometry import Pose2, invert
+from slamcli.core.records import Alignment, DenseLevel
+from slamcli.run.match.fitting import Fit, Picture
 from slamcli.stages import align, dense, local_correlation
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import Alignment, Calibration, DenseLevel
-    from slamcli.run.match.fitting import Fit, Picture
 
 # So many times its tilt sigma may a camera rock between two pictures.
 _ROCKING_TIMES = (0.0, 1.0, 5.0)
@@ -59,7 +55,7 @@ def mark_standing(first: Picture, second: Picture, fit: Fit, least_inliers: int)
     return replace(fit, alignment=without, correlation=correlation)
 
 
-def _without(fit: Fit, marked: NDArray[np.bool_]) -> Alignment | None:
+def _without(fit: Fit, marked: BoolArray) -> Alignment | None:
     """Return the alignment by the inliers that are not marked."""
     alignment = fit.alignment
     assert alignment.pose is not None
@@ -91,7 +87,7 @@ def _registered(
     levels_b: tuple[DenseLevel, ...],
     pose: Pose2,
     calibration: Calibration,
-) -> NDArray[np.float64]:
+) -> Float64Array:
     """Return (3, 3): how the views' floors lie best upon each other, the camera's rocking allowed.
 
     What is left of a tilt that differs between the frames would pass for something that stands.

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import os
 from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING
 
 from slamcli.core.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from slamcli.stages.mosaic.sampling import Picture
+from slamcli.stages.mosaic.sampling import Picture
 
 _LEAST_PICTURES = 4
 # Linux tells of a process's pages here; the second number is of those in memory.

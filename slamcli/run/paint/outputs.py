@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import GenericArray, UInt8Array, UInt16Array
+from slamcli.core.camera.calibration import Unit
+from slamcli.core.config import Datum, Layer, ProductOptions
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Grid, Pose2
+from slamcli.core.records import PoseEstimate
 from slamcli.drawing.trajectory import draw_trajectory
 from slamcli.io.files import write_image
 from slamcli.io.raster import deepzoom, geotiff, png, world_file
-from slamcli.io.raster.tile_store import put_part
-from slamcli.run.paint.paint import check_png, check_scene, cropped, paint_scene
-from slamcli.run.session.executor import ordered
+from slamcli.io.raster.tile_store import StoredTile, TileStore, put_part
+from slamcli.run.paint.paint import Scene, check_png, check_scene, cropped, paint_scene
+from slamcli.run.session.executor import Progress, ordered
+from slamcli.run.session.interruption import Interruption
 from slamcli.stages.mosaic import obstacles, tiles
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import Datum, Layer, ProductOptions
-    from slamcli.core.records import PoseEstimate, Unit
-    from slamcli.io.raster.tile_store import StoredTile, TileStore
-    from slamcli.run.paint.paint import Scene
-    from slamcli.run.session.executor import Progress
-    from slamcli.run.session.interruption import Interruption
 
 PRODUCTS = (
     "mosaic*.png",
@@ -124,7 +117,7 @@ def write_products(
     return grid
 
 
-def overview(store: TileStore, grid: Grid) -> tuple[NDArray[np.uint8], NDArray[np.uint8], Grid]:
+def overview(store: TileStore, grid: Grid) -> tuple[UInt8Array, UInt8Array, Grid]:
     """Return a picture of a map for the eye, its mask and its grid, small however large the map."""
     factor = 1
     while max(grid.width, grid.height) > 2 * _OVERVIEW_PIXELS * factor and factor < 512:
@@ -214,7 +207,7 @@ def _write_geotiff(what: _Map) -> None:
         stem: str,
         bands: int,
         kind: str,
-        pixels: Callable[[StoredTile], NDArray[np.generic] | None],
+        pixels: Callable[[StoredTile], GenericArray | None],
         nodata: float | None,
     ) -> None:
         blocks = _blocks(what, pixels)
@@ -238,7 +231,7 @@ def _write_deep_zoom(what: _Map) -> None:
         round((grid.x_min - aligned.x_min) / grid.metres_per_pixel),
     )
 
-    def cut() -> Iterator[tuple[int, int, NDArray[np.uint8]]]:
+    def cut() -> Iterator[tuple[int, int, UInt8Array]]:
         for row, column, tile in what.store.tiles(aligned):
             pixels = world_file.transparent(tile.image, tile.mask)
             if what.options.crop is not None:
@@ -294,15 +287,15 @@ FORMATS: dict[str, Callable[[_Map], None]] = {
 
 
 def _blocks(
-    what: _Map, pixels: Callable[[StoredTile], NDArray[np.generic] | None]
-) -> Iterator[tuple[int, int, NDArray[np.generic]]]:
+    what: _Map, pixels: Callable[[StoredTile], GenericArray | None]
+) -> Iterator[tuple[int, int, GenericArray]]:
     for row, column, tile in what.store.tiles(what.grid):
         part = pixels(tile)
         if part is not None:
             yield row, column, part
 
 
-def _deep_gray(layer: Layer, values: NDArray[np.generic]) -> NDArray[np.uint16]:
+def _deep_gray(layer: Layer, values: GenericArray) -> UInt16Array:
     """Return a layer as 16-bit gray: micrometres, views, or the frame's index plus 1."""
     if layer == "resolution":
         whole = np.rint(values.astype(np.float64) * 1e6)

@@ -4,41 +4,32 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
-from typing import TYPE_CHECKING
+from pathlib import Path
 
+from slamcli.core.arrays import Float64Array, UInt8Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.mounting import rocked
+from slamcli.core.config import ProductOptions
 from slamcli.core.errors import FrameError, InputError
-from slamcli.core.geometry import Pose2
-from slamcli.core.records import Shot
-from slamcli.io.frames import read_frame
+from slamcli.core.geometry import Grid, Pose2
+from slamcli.core.records import PoseEstimate, Shot, Tile
+from slamcli.io.frames import FrameFile, read_frame
 from slamcli.io.raster.tile_store import TileStore
 from slamcli.mapping.backend.pose_graph import placed_fragments
 from slamcli.run.paint.frame_cache import Pictures, most_at_once, most_pictures, size_text
 from slamcli.run.paint.thumbnails import Glimpses, read_glimpse
-from slamcli.run.session.executor import ordered
+from slamcli.run.session.executor import Progress, ordered
+from slamcli.run.session.interruption import Interruption
 from slamcli.stages.mosaic import exposure, tiles
+from slamcli.stages.mosaic.exposure import Exposure, Shared
 from slamcli.stages.mosaic.painter import Painter
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import ProductOptions
-    from slamcli.core.geometry import Grid
-    from slamcli.core.records import Calibration, PoseEstimate, Tile
-    from slamcli.io.frames import FrameFile
-    from slamcli.run.session.executor import Progress
-    from slamcli.run.session.interruption import Interruption
-    from slamcli.stages.mosaic.exposure import Exposure, Shared
-    from slamcli.stages.mosaic.sampling import Picture
-    from slamcli.stages.mosaic.tiles import TileKey
+from slamcli.stages.mosaic.sampling import Picture
+from slamcli.stages.mosaic.tiles import TileKey
 
 # Arrays of a tile that is being painted, at their most: its pixels, and the cells of each view.
 _TILE_BYTES, _TILE_VIEW_BYTES = 60_000_000, 350_000
@@ -254,9 +245,9 @@ def _light(scene: Scene, workers: int, progress: Progress, scheduler: str) -> Ex
 
 
 def _observe(
-    hull: NDArray[np.float64],
+    hull: Float64Array,
     step: float,
-    job: tuple[FrameFile, Shot, NDArray[np.uint8] | None],
+    job: tuple[FrameFile, Shot, UInt8Array | None],
 ) -> Shared:
     file, shot, gray = job
     try:

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from threading import Lock
-from typing import TYPE_CHECKING
 
-from slamcli.io.frames import read_frame
+from slamcli.core.arrays import UInt8Array
+from slamcli.core.records import Frame
+from slamcli.io.frames import FrameFile, read_frame
 from slamcli.stages import view
 from slamcli.stages.mosaic import exposure
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Frame
-    from slamcli.io.frames import FrameFile
 
 _MOST_BYTES = 40_000_000
 
@@ -27,7 +21,7 @@ class Glimpses:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._kept: dict[int, NDArray[np.uint8]] = {}
+        self._kept: dict[int, UInt8Array] = {}
         self._bytes = 0
 
     def __reduce__(self) -> tuple[type[Glimpses], tuple[()]]:
@@ -41,7 +35,7 @@ class Glimpses:
                 self._kept[frame.index] = small
                 self._bytes += small.nbytes
 
-    def take(self, file: FrameFile) -> NDArray[np.uint8] | None:
+    def take(self, file: FrameFile) -> UInt8Array | None:
         """Return what a frame looks like, and forget it; None when it was not kept."""
         with self._lock:
             small = self._kept.pop(file.index, None)
@@ -49,11 +43,11 @@ class Glimpses:
         return small
 
 
-def glimpse(frame: Frame) -> NDArray[np.uint8]:
+def glimpse(frame: Frame) -> UInt8Array:
     """Return a frame as `exposure.observe` takes it."""
     return exposure.reduced(view.to_gray(frame.image))
 
 
-def read_glimpse(file: FrameFile) -> NDArray[np.uint8]:
+def read_glimpse(file: FrameFile) -> UInt8Array:
     """Return what `Glimpses` would have kept of a frame; raises FrameError."""
     return glimpse(read_frame(file, gray=True))

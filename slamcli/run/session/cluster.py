@@ -7,17 +7,14 @@ them under the same one.
 
 from __future__ import annotations
 
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 
 from slamcli.core.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from concurrent.futures import Future
 
 # The function travels with the first task that needs it, some megabytes of it.
 _QUIET = {"distributed.admin.large-graph-warning-threshold": "1GB"}

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 from slamcli import __version__
-from slamcli.core.config import ProductOptions
+from slamcli.core.config import MapperOptions
 from slamcli.core.errors import InputError
 from slamcli.core.records import PoseEstimate
-from slamcli.core.telemetry import TelemetryOptions
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.checkpoints import Checkpoint, run_key
 from slamcli.io.files import move_folder, output_folder, remove_folder
@@ -18,33 +18,24 @@ from slamcli.io.map_file import MAP_NAME, save_map
 from slamcli.io.poses import write_poses
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.calibrate.self_calibration import self_calibrate
-from slamcli.run.inputs import open_inputs
+from slamcli.run.frame_loop import finish, registration_of, walk
+from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.networks import (
     LEARNED,
-    NO_NETWORKS,
-    NetworkFiles,
     with_match_network,
     with_point_network,
 )
 from slamcli.run.paint import outputs
 from slamcli.run.paint.paint import scenes_of
 from slamcli.run.paint.thumbnails import Glimpses
-from slamcli.run.session.interruption import interruptible
+from slamcli.run.session.executor import Progress
+from slamcli.run.session.interruption import Interruption, interruptible
 from slamcli.run.stitch import exports, report
 from slamcli.run.stitch.debug_drawings import draw_trials
 from slamcli.run.stitch.extend import open_extension
-from slamcli.run.stitch.frame_loop import finish, registration_of, walk
+from slamcli.run.stitch.options import StitchOptions
+from slamcli.run.stitch.report import StitchReport
 from slamcli.run.telemetry import Telemetry, TelemetryFiles, feed, feed_shifted, read_telemetry
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from slamcli.core.config import MapperOptions
-    from slamcli.run.inputs import Inputs
-    from slamcli.run.session.executor import Progress
-    from slamcli.run.session.interruption import Interruption
-    from slamcli.run.stitch.report import StitchReport
 
 PRODUCTS = (
     "poses.csv",
@@ -57,53 +48,6 @@ PRODUCTS = (
 DEBUG_PRODUCTS = "matches"
 # A state is kept so often, and takes at most this share of the time.
 _SAVE_SECONDS, _SAVE_SHARE = 5.0, 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class StitchOptions:
-    """What `slam stitch` was told.
-
-    Attributes
-    ----------
-    mapper : MapperOptions
-    telemetry : TelemetryOptions
-    networks : NetworkFiles
-    products : ProductOptions
-        What is painted and written.
-    max_range_metres : float or None
-        Overrides the calibration's far limit.
-    frame_rate : float or None
-        Frames per second, for stamps.
-    self_calibrate : bool
-        Refine the camera by the frames themselves, where they determine it.
-    debug : bool
-        Also draw every frame's matches.
-    export : tuple of str
-        What else to write; see `slamcli.run.stitch.exports`.
-    extend : Path or None
-        A finished map that is gone on with.
-    resume : bool
-        Go on with what an earlier run of the same kind, cut off, has left.
-    workers : int
-        Threads.
-    scheduler : str
-        Address of a Dask scheduler whose workers prepare frames and paint tiles instead; empty for
-        none.
-    """
-
-    mapper: MapperOptions
-    telemetry: TelemetryOptions = field(default_factory=TelemetryOptions)
-    networks: NetworkFiles = NO_NETWORKS
-    products: ProductOptions = field(default_factory=ProductOptions)
-    max_range_metres: float | None = None
-    frame_rate: float | None = None
-    self_calibrate: bool = False
-    debug: bool = False
-    export: tuple[str, ...] = ()
-    extend: Path | None = None
-    resume: bool = False
-    workers: int = 1
-    scheduler: str = ""
 
 
 def stitch(

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from pathlib import Path
 
+from slamcli.core.arrays import Float64Array, Int32Array, UInt8Array
 from slamcli.core.geometry import apply_homography, invert
+from slamcli.core.records import Prepared
 from slamcli.drawing.matches import draw_matches
 from slamcli.io.files import write_image
+from slamcli.registration import Trial
 from slamcli.stages import view
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Prepared
-    from slamcli.registration import Trial
 
 
 def draw_trials(trials: Sequence[Trial], folder: Path) -> None:
@@ -27,7 +21,7 @@ def draw_trials(trials: Sequence[Trial], folder: Path) -> None:
         picture_first, points_first, to_first = _drawable(first, fit.matches[:, 0])
         picture_second, points_second, to_second = _drawable(second, fit.matches[:, 1])
         if trial.link is not None:
-            a_from_b: NDArray[np.float64] | None = trial.link.a_from_b.matrix
+            a_from_b: Float64Array | None = trial.link.a_from_b.matrix
             verdict = f"placed, score {trial.score:.3f}, correlation {trial.correlation:.3f}"
         else:
             a_from_b = fit.a_from_b if fit.accepted else None
@@ -53,8 +47,8 @@ def draw_trials(trials: Sequence[Trial], folder: Path) -> None:
 
 
 def _drawable(
-    prepared: Prepared, chosen: NDArray[np.int32]
-) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
+    prepared: Prepared, chosen: Int32Array
+) -> tuple[UInt8Array, Float64Array, Float64Array]:
     """Return a frame's view, its chosen points in that view's pixels, and pixel_from_metres.
 
     Of a keyframe from long ago only half the resolution is kept.

@@ -3,32 +3,24 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.camera import projection
 from slamcli.core.errors import FrameError
-from slamcli.io.frames import read_frame, read_reduced_gray
+from slamcli.io.frames import FrameFile, read_frame, read_reduced_gray
 from slamcli.mapping.mapper import Mapper
-from slamcli.run.inputs import open_inputs
+from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.paint.frame_cache import size_text
-from slamcli.run.session.executor import ordered
+from slamcli.run.session.executor import Progress, ordered
+from slamcli.run.stitch.options import StitchOptions
 from slamcli.stages.mosaic.painter import Painter
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from slamcli.io.frames import FrameFile
-    from slamcli.run.inputs import Inputs
-    from slamcli.run.session.executor import Progress
-    from slamcli.run.stitch import StitchOptions
 
 _PROBES, _PROBE_FRAMES = 4, 3
 _DARK_GRAY, _WHITE_GRAY, _MOST_WHITE = 25.0, 250, 0.25
@@ -132,7 +124,7 @@ def _some(names: Sequence[str]) -> str:
 
 def _blurred(details: Sequence[float], numbers: Sequence[int]) -> list[int]:
     """Return the frames with much less detail than those around them: the floor may change."""
-    values: NDArray[np.float64] = np.array(details)
+    values: Float64Array = np.array(details)
     found = []
     for place, number in enumerate(numbers):
         around = values[max(0, place - _NEIGHBOURS) : place + _NEIGHBOURS + 1]

@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from slamcli.core.config import Datum
 from slamcli.core.errors import InputError
-from slamcli.core.geometry import pose_array
+from slamcli.core.geometry import Pose2, pose_array
+from slamcli.core.records import Link, PoseEstimate
+from slamcli.core.telemetry import Georeference
+from slamcli.io.frames import FrameFile
 from slamcli.io.g2o import write_g2o, write_links
 from slamcli.io.geojson import write_geojson
+from slamcli.io.toml import Scalar
 from slamcli.io.trajectories import write_kitti, write_tum
 from slamcli.mapping.backend.pose_graph import placed_fragments
+from slamcli.mapping.mapper import Mapper
+from slamcli.selfcal import Registration
 from slamcli.stages.geodesy import LocalPlane, projection
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import Link, PoseEstimate
-    from slamcli.core.telemetry import Georeference
-    from slamcli.io.frames import FrameFile
-    from slamcli.io.toml import Scalar
-    from slamcli.mapping.mapper import Mapper
-    from slamcli.selfcal import Registration
 
 PRODUCTS = ("trajectory*.tum", "trajectory*.kitti", "graph*.g2o", "track.geojson", "links.csv")
 

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
+from slamcli.core.config import MapperOptions
 from slamcli.core.errors import InputError
+from slamcli.core.records import FloorMap
 from slamcli.io.frames import list_frames
 from slamcli.io.map_file import MAP_NAME, load_map
 from slamcli.io.runs import read_run
 from slamcli.run.inputs import Inputs, check_size
 from slamcli.run.render import file_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from slamcli.core.config import MapperOptions
-    from slamcli.core.records import FloorMap
 
 
 @dataclass(frozen=True, slots=True, eq=False)

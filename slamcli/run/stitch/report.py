@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from slamcli import __version__
 from slamcli.core.geometry import path_length
+from slamcli.core.records import PoseEstimate
 from slamcli.io import runs, toml
 from slamcli.mapping.backend.pose_graph import placed_fragments
+from slamcli.mapping.mapper import Mapper
 from slamcli.run.calibrate.self_calibration import describe, run_section
+from slamcli.run.inputs import Inputs
 from slamcli.run.networks import LEARNED
 from slamcli.run.stitch import exports
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from slamcli.core.records import PoseEstimate
-    from slamcli.mapping.mapper import Mapper
-    from slamcli.run.inputs import Inputs
-    from slamcli.run.stitch import StitchOptions
-    from slamcli.run.telemetry import TelemetryFiles
-    from slamcli.selfcal import Refinement
+from slamcli.run.stitch.options import StitchOptions
+from slamcli.run.telemetry import TelemetryFiles
+from slamcli.selfcal import Refinement
 
 # The exit code of a program that SIGINT ended.
 _INTERRUPTED = 130

@@ -7,19 +7,16 @@ neighbouring blocks meet without a seam.
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from threading import Lock
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import UInt8Array
 from slamcli.core.geometry import Grid
 from slamcli.simulation.floors import course, laid, poured
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
 BLOCK_PIXELS = 512
 # Enough for the floor before a robot; older blocks are made again when it comes back.
@@ -34,7 +31,7 @@ class Floor(Protocol):
 
     metres_per_pixel: float
 
-    def region(self, grid: Grid) -> NDArray[np.uint8]:
+    def region(self, grid: Grid) -> UInt8Array:
         """Return (h, w, 3) uint8 BGR of a grid whose resolution is 2^n times the floor's own."""
 
 
@@ -48,16 +45,14 @@ class BlockFloor:
     metres_per_pixel : float
     """
 
-    def __init__(
-        self, make_block: Callable[[Grid], NDArray[np.uint8]], metres_per_pixel: float
-    ) -> None:
+    def __init__(self, make_block: Callable[[Grid], UInt8Array], metres_per_pixel: float) -> None:
         self.metres_per_pixel = metres_per_pixel
         self._make_block = make_block
         self._lock = Lock()
-        self._blocks: OrderedDict[tuple[int, int], list[NDArray[np.uint8]]] = OrderedDict()
-        self._coarse: OrderedDict[tuple[int, int], list[NDArray[np.uint8]]] = OrderedDict()
+        self._blocks: OrderedDict[tuple[int, int], list[UInt8Array]] = OrderedDict()
+        self._coarse: OrderedDict[tuple[int, int], list[UInt8Array]] = OrderedDict()
 
-    def region(self, grid: Grid) -> NDArray[np.uint8]:
+    def region(self, grid: Grid) -> UInt8Array:
         """Return (h, w, 3) uint8 BGR of a grid whose resolution is 2^n times the floor's own."""
         level = round(np.log2(grid.metres_per_pixel / self.metres_per_pixel))
         side = BLOCK_PIXELS >> level
@@ -75,7 +70,7 @@ class BlockFloor:
                 ]
         return image
 
-    def _block(self, key: tuple[int, int], level: int) -> NDArray[np.uint8]:
+    def _block(self, key: tuple[int, int], level: int) -> UInt8Array:
         """Return one level of the block at a (column, row)."""
         first, kept = (_COARSE_LEVEL, self._coarse) if level >= _COARSE_LEVEL else (0, self._blocks)
         with self._lock:
@@ -89,7 +84,7 @@ class BlockFloor:
             _keep(self._coarse, key, levels[_COARSE_LEVEL:], _MOST_COARSE_BLOCKS)
         return levels[level]
 
-    def _pyramid(self, column: int, row: int) -> list[NDArray[np.uint8]]:
+    def _pyramid(self, column: int, row: int) -> list[UInt8Array]:
         """Make a block: its levels, each the plain mean of four pixels below."""
         span = BLOCK_PIXELS * self.metres_per_pixel
         grid = Grid(column * span, -row * span, self.metres_per_pixel, BLOCK_PIXELS, BLOCK_PIXELS)
@@ -102,9 +97,9 @@ class BlockFloor:
 
 
 def _keep(
-    kept: OrderedDict[tuple[int, int], list[NDArray[np.uint8]]],
+    kept: OrderedDict[tuple[int, int], list[UInt8Array]],
     key: tuple[int, int],
-    levels: list[NDArray[np.uint8]],
+    levels: list[UInt8Array],
     most: int,
 ) -> None:
     kept[key] = levels
@@ -123,14 +118,14 @@ def make_wall(wear: float, metres_per_pixel: float, seed: int) -> BlockFloor:
     return BlockFloor(lambda grid: laid.wall(grid, wear, seed), metres_per_pixel)
 
 
-def picture_floor(picture: NDArray[np.uint8], metres_per_pixel: float) -> BlockFloor:
+def picture_floor(picture: UInt8Array, metres_per_pixel: float) -> BlockFloor:
     """Return a picture (H, W, 3) laid on the floor, centred at the origin, mirrored endlessly."""
     height, width = picture.shape[:2]
     mirrored = np.vstack(
         [np.hstack([picture, picture[:, ::-1]]), np.hstack([picture[::-1], picture[::-1, ::-1]])]
     )
 
-    def make(grid: Grid) -> NDArray[np.uint8]:
+    def make(grid: Grid) -> UInt8Array:
         left = round(grid.x_min / metres_per_pixel) + width // 2
         top = round(-grid.y_max / metres_per_pixel) + height // 2
         rows = np.arange(top, top + grid.height) % (2 * height)
@@ -140,7 +135,7 @@ def picture_floor(picture: NDArray[np.uint8], metres_per_pixel: float) -> BlockF
     return BlockFloor(make, metres_per_pixel)
 
 
-FLOORS: dict[str, Callable[[Grid, float, int], NDArray[np.uint8]]] = {
+FLOORS: dict[str, Callable[[Grid, float, int], UInt8Array]] = {
     "asphalt": poured.asphalt,
     "bare": poured.bare,
     "carpet": laid.carpet,

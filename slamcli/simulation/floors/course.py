@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from slamcli.core.geometry import apply_homography
+from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array
+from slamcli.core.geometry import Grid, apply_homography
 from slamcli.simulation.floors.noise import smooth_noise
 from slamcli.simulation.floors.poured import concrete
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Grid
-
 
 BOARD_METRES = (2.4384, 1.2192)
 SQUARE_METRES = 0.3048
@@ -34,7 +27,7 @@ _LINES = (
 _SQUARES = ((0.08, -0.1524), (0.61, 0.20), (0.97, -0.5048), (1.27, 0.20), (1.73, -0.5048))
 
 
-def course(grid: Grid, wear: float, seed: int) -> NDArray[np.uint8]:
+def course(grid: Grid, wear: float, seed: int) -> UInt8Array:
     """Paint the board on a concrete floor; `wear` 0 is pure black and white."""
     board = _inside_board(grid)
     if wear > 0:
@@ -51,9 +44,7 @@ def course(grid: Grid, wear: float, seed: int) -> NDArray[np.uint8]:
     return np.asarray(np.clip(np.round(mixed), 0, 255), np.uint8)
 
 
-def _worn_paints(
-    grid: Grid, wear: float, seed: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _worn_paints(grid: Grid, wear: float, seed: int) -> tuple[Float32Array, Float32Array]:
     """Return the black and the white paint, gray (h, w): roller grain, scuffs, seams and dust."""
     grain = smooth_noise(grid, seed + 21, 0.0012)
     roller = smooth_noise(grid, seed + 22, 0.003, stretch=6.0)
@@ -72,14 +63,14 @@ def _worn_paints(
     return dark.astype(np.float32), light.astype(np.float32)
 
 
-def _inside_board(grid: Grid) -> NDArray[np.float32]:
+def _inside_board(grid: Grid) -> Float32Array:
     """Return (h, w): how much of each pixel lies on the board, whose centre is the origin."""
     length, width = BOARD_METRES
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (length / 2, width / 2)
     return _filled(grid, [corners])
 
 
-def _painted(grid: Grid) -> NDArray[np.float32]:
+def _painted(grid: Grid) -> Float32Array:
     """Return (h, w): how much of each pixel is white paint."""
     shapes = []
     for start, end in _LINES:
@@ -90,11 +81,11 @@ def _painted(grid: Grid) -> NDArray[np.float32]:
     return _filled(grid, [shape - middle for shape in shapes])
 
 
-def _rectangle(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rectangle(low: Float64Array, high: Float64Array) -> Float64Array:
     return np.array([low, (high[0], low[1]), high, (low[0], high[1])])
 
 
-def _filled(grid: Grid, shapes: list[NDArray[np.float64]]) -> NDArray[np.float32]:
+def _filled(grid: Grid, shapes: list[Float64Array]) -> Float32Array:
     """Return the share of each pixel that axis-parallel rectangles cover, exactly."""
     column, row = np.arange(grid.width), np.arange(grid.height)
     centres_x = grid.metres_from_pixel[0, 0] * column + grid.metres_from_pixel[0, 2]
@@ -109,7 +100,5 @@ def _filled(grid: Grid, shapes: list[NDArray[np.float64]]) -> NDArray[np.float32
     return covered.astype(np.float32)
 
 
-def _overlap(
-    start: NDArray[np.float64], end: NDArray[np.float64], low: float, high: float
-) -> NDArray[np.float64]:
+def _overlap(start: Float64Array, end: Float64Array, low: float, high: float) -> Float64Array:
     return np.asarray(np.maximum(np.minimum(end, high) - np.maximum(start, low), 0.0))

@@ -6,18 +6,15 @@ own tone and its own scratches and stains.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array
 from slamcli.core.geometry import Grid
 from slamcli.simulation.floors.noise import smooth_noise, tinted
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
 TILE_METRES = 0.10
 PLANK_METRES = (1.2, 0.19)
@@ -28,7 +25,7 @@ _TUFT_METRES = 0.004
 _SKIRTING_METRES = 0.08
 
 
-def tiles(grid: Grid, wear: float, seed: int) -> NDArray[np.uint8]:
+def tiles(grid: Grid, wear: float, seed: int) -> UInt8Array:
     """Paint glazed tiles with one weak print, and grout between them."""
     x, y = _places(grid)
     column, row = np.floor(x / TILE_METRES).astype(int), np.floor(y / TILE_METRES).astype(int)
@@ -42,7 +39,7 @@ def tiles(grid: Grid, wear: float, seed: int) -> NDArray[np.uint8]:
     return tinted((gray + _worn(grid, wear, seed)).astype(np.float32), (0.98, 1.0, 1.02))
 
 
-def planks(grid: Grid, wear: float, seed: int) -> NDArray[np.uint8]:
+def planks(grid: Grid, wear: float, seed: int) -> UInt8Array:
     """Paint laminate: rows of planks, shifted by a third, each one of five prints of grain."""
     length, width = PLANK_METRES
     x, y = _places(grid)
@@ -65,7 +62,7 @@ def planks(grid: Grid, wear: float, seed: int) -> NDArray[np.uint8]:
     return tinted((gray + _worn(grid, wear, seed)).astype(np.float32), (0.72, 0.95, 1.15))
 
 
-def carpet(grid: Grid, wear: float, seed: int) -> NDArray[np.uint8]:
+def carpet(grid: Grid, wear: float, seed: int) -> UInt8Array:
     """Paint loops of yarn in rows, each its own shade, and trodden patches."""
     x, y = _places(grid)
     wobble = 0.0006 * smooth_noise(grid, seed + 51, 0.006)
@@ -77,7 +74,7 @@ def carpet(grid: Grid, wear: float, seed: int) -> NDArray[np.uint8]:
     return tinted(gray.astype(np.float32), (1.08, 0.98, 0.92))
 
 
-def wall(grid: Grid, wear: float, seed: int) -> NDArray[np.uint8]:
+def wall(grid: Grid, wear: float, seed: int) -> UInt8Array:
     """Paint a wall, its foot at y 0: a skirting board, and pictures and shelves above it."""
     _, y = _places(grid)
     hung = smooth_noise(grid, seed + 56, 0.12) > 0.9
@@ -88,7 +85,7 @@ def wall(grid: Grid, wear: float, seed: int) -> NDArray[np.uint8]:
     return tinted(gray.astype(np.float32), (0.97, 1.0, 1.03))
 
 
-def _places(grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _places(grid: Grid) -> tuple[Float64Array, Float64Array]:
     """Return the world x and y (h, w) of a grid's pixels."""
     matrix = grid.metres_from_pixel
     columns = matrix[0, 0] * np.arange(grid.width) + matrix[0, 2]
@@ -97,7 +94,7 @@ def _places(grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return x, y
 
 
-def _hashed(column: NDArray[np.int_], row: NDArray[np.int_], seed: int) -> NDArray[np.float64]:
+def _hashed(column: NDArray[np.int_], row: NDArray[np.int_], seed: int) -> Float64Array:
     """Return a number in [-1, 1) for each piece, by its place and the seed alone."""
     least_column, least_row = int(column.min()), int(row.min())
     rows = int(row.max()) - least_row + 1
@@ -115,13 +112,13 @@ def _hashed(column: NDArray[np.int_], row: NDArray[np.int_], seed: int) -> NDArr
 
 
 def _repeated(
-    printed: Callable[[float, int], NDArray[np.float32]],
+    printed: Callable[[float, int], Float32Array],
     grid: Grid,
     size_metres: tuple[float, float],
-    across: NDArray[np.float64],
-    along: NDArray[np.float64],
+    across: Float64Array,
+    along: Float64Array,
     seed: int,
-) -> NDArray[np.float64]:
+) -> Float64Array:
     """Read a print at places (metres) inside a piece."""
     picture = printed(grid.metres_per_pixel, seed)
     height, width = picture.shape
@@ -131,7 +128,7 @@ def _repeated(
 
 
 @lru_cache(maxsize=4)
-def _tile_print(metres_per_pixel: float, seed: int) -> NDArray[np.float32]:
+def _tile_print(metres_per_pixel: float, seed: int) -> Float32Array:
     grid = _piece(metres_per_pixel, (TILE_METRES, TILE_METRES))
     clouds = smooth_noise(grid, seed + 32, 0.008)
     specks = np.maximum(smooth_noise(grid, seed + 33, 0.0012) - 1.8, 0.0)
@@ -139,7 +136,7 @@ def _tile_print(metres_per_pixel: float, seed: int) -> NDArray[np.float32]:
 
 
 @lru_cache(maxsize=4 * _PRINTS)
-def _plank_print(metres_per_pixel: float, seed: int) -> NDArray[np.float32]:
+def _plank_print(metres_per_pixel: float, seed: int) -> Float32Array:
     grid = _piece(metres_per_pixel, PLANK_METRES)
     grain = smooth_noise(grid, seed + 43, 0.0009, stretch=30.0)
     rings = smooth_noise(grid, seed + 44, 0.004, stretch=25.0)
@@ -153,7 +150,7 @@ def _piece(metres_per_pixel: float, size_metres: tuple[float, float]) -> Grid:
     return Grid(0.0, height * metres_per_pixel, metres_per_pixel, width, height)
 
 
-def _worn(grid: Grid, wear: float, seed: int) -> NDArray[np.float32]:
+def _worn(grid: Grid, wear: float, seed: int) -> Float32Array:
     """Return what use has added, (h, w) gray: scratches, stains and dust."""
     if wear == 0.0:
         return np.zeros((grid.height, grid.width), np.float32)

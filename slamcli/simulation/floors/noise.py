@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import Float32Array, UInt8Array
 from slamcli.core.geometry import Grid
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 # White noise is drawn in pieces of this side: few more pixels than a block and its margin need.
 _NOISE_PIXELS = 128
 
 
-def white_noise(grid: Grid, seed: int, margin: int = 0) -> NDArray[np.float32]:
+def white_noise(grid: Grid, seed: int, margin: int = 0) -> Float32Array:
     """Return standard normal pixels, `margin` wider all round, that depend on their place alone."""
     left = round(grid.x_min / grid.metres_per_pixel) - margin
     top = round(-grid.y_max / grid.metres_per_pixel) - margin
@@ -37,9 +33,7 @@ def white_noise(grid: Grid, seed: int, margin: int = 0) -> NDArray[np.float32]:
     return noise
 
 
-def smooth_noise(
-    grid: Grid, seed: int, sigma_metres: float, stretch: float = 1.0
-) -> NDArray[np.float32]:
+def smooth_noise(grid: Grid, seed: int, sigma_metres: float, stretch: float = 1.0) -> Float32Array:
     """Return (h, w) noise of unit variance with blobs of a size, `stretch` times longer along x.
 
     Large blobs are made at a coarser scale and enlarged: the same look for a fraction of the work.
@@ -70,7 +64,7 @@ def smooth_noise(
     return np.asarray(cv2.remap(blurred, at_columns, at_rows, cv2.INTER_LINEAR), np.float32)
 
 
-def tinted(gray: NDArray[np.float32], tint: tuple[float, float, float]) -> NDArray[np.uint8]:
+def tinted(gray: Float32Array, tint: tuple[float, float, float]) -> UInt8Array:
     """Return (h, w, 3) uint8 BGR of a gray level, each channel by its own factor."""
     colour = gray[..., None] * np.array(tint, np.float32)
     return np.clip(np.round(colour), 0, 255).astype(np.uint8)

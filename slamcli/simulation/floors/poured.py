@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from slamcli.core.arrays import UInt8Array
+from slamcli.core.geometry import Grid
 from slamcli.simulation.floors.noise import smooth_noise, tinted
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
-    from slamcli.core.geometry import Grid
-
-
-def asphalt(grid: Grid, _wear: float, seed: int) -> NDArray[np.uint8]:
+def asphalt(grid: Grid, _wear: float, seed: int) -> UInt8Array:
     """Paint stones of a few millimetres in a binder, patches, and some light and dark chips."""
     stones = smooth_noise(grid, seed + 1, 0.0016)
     fine = smooth_noise(grid, seed + 2, 0.0007)
@@ -27,7 +22,7 @@ def asphalt(grid: Grid, _wear: float, seed: int) -> NDArray[np.uint8]:
     return tinted(gray, (1.02, 1.0, 0.98))
 
 
-def concrete(grid: Grid, _wear: float, seed: int) -> NDArray[np.uint8]:
+def concrete(grid: Grid, _wear: float, seed: int) -> UInt8Array:
     """Paint a trowelled slab: grain, clouds, pores, and the sweep of the trowel."""
     grain = smooth_noise(grid, seed + 11, 0.0008)
     trowel = smooth_noise(grid, seed + 15, 0.003, stretch=4.0)
@@ -38,7 +33,7 @@ def concrete(grid: Grid, _wear: float, seed: int) -> NDArray[np.uint8]:
     return tinted(gray, (0.97, 1.0, 1.02))
 
 
-def terrazzo(grid: Grid, _wear: float, seed: int) -> NDArray[np.uint8]:
+def terrazzo(grid: Grid, _wear: float, seed: int) -> UInt8Array:
     """Paint chips of marble, from three to fifteen millimetres, ground flat in a light cement."""
     gray = 186 + 3.0 * smooth_noise(grid, seed + 71, 0.0008)
     for number, (size_metres, share) in enumerate(((0.0045, 0.9), (0.0022, 1.1), (0.0011, 1.2))):
@@ -50,7 +45,7 @@ def terrazzo(grid: Grid, _wear: float, seed: int) -> NDArray[np.uint8]:
     return tinted(gray.astype(np.float32), (0.95, 1.0, 1.02))
 
 
-def bare(grid: Grid, wear: float, seed: int) -> NDArray[np.uint8]:
+def bare(grid: Grid, wear: float, seed: int) -> UInt8Array:
     """Paint a smooth sealed slab with next to no grain, and a few marks a square metre."""
     grain = smooth_noise(grid, seed + 81, 0.0010)
     clouds = smooth_noise(grid, seed + 82, 0.10)

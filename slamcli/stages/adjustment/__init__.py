@@ -4,15 +4,9 @@
 explain them, `projection` carries pixels from frame to frame for both.
 """
 
-from slamcli.stages.adjustment.patch_tracking import (
-    DEEPEST_LEVEL,
-    Matches,
-    Pyramid,
-    choose_points,
-    make_pyramid,
-    track,
-)
+from slamcli.stages.adjustment.patch_tracking import Matches, choose_points, track
 from slamcli.stages.adjustment.projection import View, changed, transfer
+from slamcli.stages.adjustment.pyramid import DEEPEST_LEVEL, Pyramid, make_pyramid
 from slamcli.stages.adjustment.solver import (
     FIRST_ROCKING,
     Adjustment,

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix
 
+from slamcli.core.arrays import BoolArray, Float64Array, Int64Array
+from slamcli.core.camera.calibration import Calibration
+from slamcli.stages.adjustment.patch_tracking import Matches
 from slamcli.stages.adjustment.projection import (
     CAMERA_PARAMETERS,
     FRAME_PARAMETERS,
@@ -16,14 +19,6 @@ from slamcli.stages.adjustment.projection import (
     View,
     transfer_with_jacobians,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Calibration
-    from slamcli.stages.adjustment.patch_tracking import Matches
 
 # Geman and McClure's scale in sigmas; see stages.align.rigid.
 _KERNEL_SIGMAS = 3.0
@@ -41,14 +36,14 @@ class Layout:
     """Where each unknown stands in the vector of all: the camera's first, then frame by frame."""
 
     frames: tuple[int, ...]
-    free: NDArray[np.bool_]
+    free: BoolArray
 
     @property
     def count(self) -> int:
         """How many unknowns there are."""
         return CAMERA_PARAMETERS + FRAME_PARAMETERS * len(self.frames)
 
-    def of_frame(self, place: int) -> NDArray[np.int64]:
+    def of_frame(self, place: int) -> Int64Array:
         """Return (6,): the places of the frame at a place in `frames`."""
         start = CAMERA_PARAMETERS + FRAME_PARAMETERS * place
         return np.arange(start, start + FRAME_PARAMETERS)
@@ -60,7 +55,7 @@ class State:
 
     calibration: Calibration
     views: dict[int, View]
-    change: NDArray[np.float64]
+    change: Float64Array
     unevenness_metres: float = 0.0
 
 
@@ -83,20 +78,20 @@ class Block:
     """
 
     frames: tuple[int, int]
-    unknowns: NDArray[np.int64]
-    residual: NDArray[np.float64]
-    jacobian: NDArray[np.float64]
-    median: NDArray[np.float64]
-    plain: NDArray[np.float64]
-    by_rise: NDArray[np.float64]
+    unknowns: Int64Array
+    residual: Float64Array
+    jacobian: Float64Array
+    median: Float64Array
+    plain: Float64Array
+    by_rise: Float64Array
 
 
 def free_unknowns(
     frames: Sequence[int],
     anchors: Sequence[int],
-    camera_free: NDArray[np.bool_],
-    rocking_sigmas: NDArray[np.float64],
-) -> NDArray[np.bool_]:
+    camera_free: BoolArray,
+    rocking_sigmas: Float64Array,
+) -> BoolArray:
     """Return (K,) bool: which unknowns are estimated."""
     held = set(anchors)
     by_frame = [
@@ -106,14 +101,14 @@ def free_unknowns(
     return np.concatenate([camera_free, *by_frame])
 
 
-def prior_information(layout: Layout, sigmas: NDArray[np.float64]) -> NDArray[np.float64]:
+def prior_information(layout: Layout, sigmas: Float64Array) -> Float64Array:
     """Return the information (K,) that holds each unknown near zero."""
     rocking = np.where(sigmas > 0.0, 1.0 / np.maximum(sigmas, 1e-12) ** 2, 0.0)
     by_frame = np.concatenate([np.zeros(POSE_PARAMETERS), rocking])
     return np.concatenate([_CAMERA_SIGMAS**-2, np.tile(by_frame, len(layout.frames))])
 
 
-def held_values(layout: Layout, state: State) -> NDArray[np.float64]:
+def held_values(layout: Layout, state: State) -> Float64Array:
     """Return (K,): how far each unknown that is held near zero stands from it."""
     values = np.zeros(layout.count)
     values[:CAMERA_PARAMETERS] = state.change
@@ -139,7 +134,7 @@ def linearise(state: State, matches: Sequence[Matches], layout: Layout) -> list[
     return blocks
 
 
-def _linearise_pair(state: State, pair: Matches, unknowns: NDArray[np.int64]) -> Block:
+def _linearise_pair(state: State, pair: Matches, unknowns: Int64Array) -> Block:
     views = state.views[pair.a], state.views[pair.b]
     moved = transfer_with_jacobians(state.calibration, *views, pair.pixels_a)
     seen = np.isfinite(moved.pixels).all(axis=1)
@@ -164,7 +159,7 @@ def _linearise_pair(state: State, pair: Matches, unknowns: NDArray[np.int64]) ->
     )
 
 
-def _shrinking(spread: NDArray[np.float64]) -> NDArray[np.float64]:
+def _shrinking(spread: Float64Array) -> Float64Array:
     """Return (N, 2, 2): the inverse root of ``I + s s^T`` for (N, 2) vectors s."""
     squared = np.einsum("ni,ni->n", spread, spread)
     share = (1.0 - 1.0 / np.sqrt(1.0 + squared)) / np.maximum(squared, 1e-12)
@@ -191,16 +186,16 @@ def residual_scale(blocks: Sequence[Block]) -> float:
     return max(float(np.median(np.concatenate(lengths))), _LEAST_SCALE)
 
 
-def _squares(block: Block, scale: float) -> NDArray[np.float64]:
-    squares: NDArray[np.float64] = np.sum(block.residual**2, axis=1) / scale**2
+def _squares(block: Block, scale: float) -> Float64Array:
+    squares: Float64Array = np.sum(block.residual**2, axis=1) / scale**2
     return squares
 
 
 def total_cost(
     blocks: Sequence[Block],
     scale: float,
-    prior: NDArray[np.float64],
-    held: NDArray[np.float64],
+    prior: Float64Array,
+    held: Float64Array,
 ) -> float:
     """Return the robust cost of the residuals and of what is held."""
     total = float(np.sum(prior * held**2))
@@ -210,19 +205,19 @@ def total_cost(
     return total
 
 
-def weights(block: Block, scale: float) -> NDArray[np.float64]:
+def weights(block: Block, scale: float) -> Float64Array:
     """Return (N,): what each match counts, by how well it fits (Geman and McClure)."""
-    weights: NDArray[np.float64] = (1.0 + _squares(block, scale) / _KERNEL_SIGMAS**2) ** -2
+    weights: Float64Array = (1.0 + _squares(block, scale) / _KERNEL_SIGMAS**2) ** -2
     return weights / scale**2
 
 
 def normal_equations(
     blocks: Sequence[Block],
     scale: float,
-    prior: NDArray[np.float64],
+    prior: Float64Array,
     layout: Layout,
     state: State,
-) -> tuple[csc_matrix, NDArray[np.float64]]:
+) -> tuple[csc_matrix, Float64Array]:
     """Return the normal matrix (K, K), sparse, and the gradient (K,); identity where held."""
     gradient = prior * held_values(layout, state)
     rows, columns, values = [], [], []

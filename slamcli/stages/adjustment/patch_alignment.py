@@ -7,20 +7,17 @@ windows of zero mean and equal contrast. Where a window is read is a quadratic i
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from slamcli.stages.adjustment.pyramid import Pyramid
 
-    from numpy.typing import NDArray
-
-    from slamcli.stages.adjustment.patch_tracking import Pyramid
-
-    Warp = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+Warp = Callable[[Float64Array], Float64Array]
 
 HALF_PIXELS = 7
 _MOST_ITERATIONS = 10
@@ -56,12 +53,12 @@ class Windows:
     """
 
     level: int
-    values: NDArray[np.float32]
-    gradients: NDArray[np.float32]
-    inside: NDArray[np.float32]
-    coefficients: NDArray[np.float64]
+    values: Float32Array
+    gradients: Float32Array
+    inside: Float32Array
+    coefficients: Float64Array
     readings: tuple[_Reading, ...]
-    good: NDArray[np.bool_]
+    good: BoolArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,11 +79,11 @@ class _Reading:
         Pixels of the level to one of the full-size picture.
     """
 
-    chosen: NDArray[np.int64]
-    image: NDArray[np.float32]
-    mask: NDArray[np.uint8]
-    places: NDArray[np.float32]
-    by_shift: NDArray[np.float32]
+    chosen: Int64Array
+    image: Float32Array
+    mask: UInt8Array
+    places: Float32Array
+    by_shift: Float32Array
     scale: float
 
 
@@ -94,14 +91,14 @@ class _Reading:
 class Judged:
     """Which windows fit (N,), and the whitening (N, 2, 2) of their shifts."""
 
-    good: NDArray[np.bool_]
-    whitening: NDArray[np.float64]
+    good: BoolArray
+    whitening: Float64Array
 
 
 def cut(
     first: Pyramid,
     second: Pyramid,
-    points: NDArray[np.float64],
+    points: Float64Array,
     second_from_first: Warp,
     level: int,
 ) -> Windows:
@@ -132,7 +129,7 @@ def cut(
     return Windows(level, values, gradients, inside, coefficients, readings, good)
 
 
-def align(windows: Windows, start: NDArray[np.float64]) -> NDArray[np.float64]:
+def align(windows: Windows, start: Float64Array) -> Float64Array:
     """Return (N, 2) shifts, full-size pixels of the first; the start where none is found."""
     size = 2.0**windows.level
     shift = start.copy()
@@ -156,7 +153,7 @@ def align(windows: Windows, start: NDArray[np.float64]) -> NDArray[np.float64]:
     return shift
 
 
-def judge(windows: Windows, shift: NDArray[np.float64]) -> Judged:
+def judge(windows: Windows, shift: Float64Array) -> Judged:
     """Tell which shifted windows are matches, and how well each one's shift is known."""
     residual, correlation, weight = _residual(windows, shift)
     share = weight.mean(axis=1)
@@ -172,14 +169,12 @@ def judge(windows: Windows, shift: NDArray[np.float64]) -> Judged:
     return Judged(good & (values[:, 1] > 1.0), whitening)
 
 
-def evaluate(coefficients: NDArray[np.float64], shift: NDArray[np.float64]) -> NDArray[np.float64]:
+def evaluate(coefficients: Float64Array, shift: Float64Array) -> Float64Array:
     """Return (N, 2): the pixels of the second picture that are read at a shift."""
     return np.asarray(np.einsum("nk,nkd->nd", _basis(shift), coefficients))
 
 
-def slope_of_warp(
-    coefficients: NDArray[np.float64], shift: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def slope_of_warp(coefficients: Float64Array, shift: Float64Array) -> Float64Array:
     """Return (N, 2, 2): how the place read changes with the shift."""
     x, y = shift[:, 0, None], shift[:, 1, None]
     by_x = coefficients[:, 1] + 2.0 * x * coefficients[:, 3] + y * coefficients[:, 4]
@@ -187,7 +182,7 @@ def slope_of_warp(
     return np.stack([by_x, by_y], axis=2)
 
 
-def slopes(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def slopes(image: Float32Array) -> tuple[Float32Array, Float32Array]:
     """Return the slopes (h, w) of a picture to the right and down, in gray levels a pixel."""
     # Scharr's kernel sums to 32 over a span of two pixels' worth of slope.
     right = cv2.Scharr(image, cv2.CV_32F, 1, 0, scale=1.0 / 32.0)
@@ -198,8 +193,8 @@ def slopes(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.
 def _reading(
     second: Pyramid,
     level: int,
-    chosen: NDArray[np.int64],
-    coefficients: NDArray[np.float64],
+    chosen: Int64Array,
+    coefficients: Float64Array,
     size: float,
 ) -> _Reading:
     scale = 2.0**-level
@@ -227,8 +222,8 @@ def _reading(
 
 
 def _residual(
-    windows: Windows, shift: NDArray[np.float64]
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    windows: Windows, shift: Float64Array
+) -> tuple[Float32Array, Float32Array, Float32Array]:
     """Return second minus first (N, W), of equal contrast; the correlation (N,); the weight."""
     read = np.zeros_like(windows.values)
     weight = np.zeros_like(windows.values)
@@ -254,15 +249,13 @@ def _residual(
     return gain * read - template, correlation, weight
 
 
-def _offsets() -> NDArray[np.float64]:
+def _offsets() -> Float64Array:
     side = np.arange(-HALF_PIXELS, HALF_PIXELS + 1, dtype=np.float64)
     columns, rows = np.meshgrid(side, side)
     return np.column_stack([columns.ravel(), rows.ravel()])
 
 
-def _fit_warp(
-    points: NDArray[np.float64], second_from_first: Warp, reach: float
-) -> NDArray[np.float64]:
+def _fit_warp(points: Float64Array, second_from_first: Warp, reach: float) -> Float64Array:
     """Return (N, 6, 2): a quadratic through where nine places about each point are foretold."""
     side = np.array([-1.0, 0.0, 1.0])
     columns, rows = (values.ravel() for values in np.meshgrid(side, side))
@@ -272,14 +265,12 @@ def _fit_warp(
     return np.asarray(np.linalg.pinv(basis) @ mapped.reshape(len(points), len(around), 2))
 
 
-def _basis(places: NDArray[np.float64]) -> NDArray[np.float64]:
+def _basis(places: Float64Array) -> Float64Array:
     x, y = places[..., 0], places[..., 1]
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 
 
-def _sample(
-    image: NDArray[np.float32] | NDArray[np.uint8], places: NDArray[np.floating]
-) -> NDArray[np.float32]:
+def _sample(image: Float32Array | UInt8Array, places: NDArray[np.floating]) -> Float32Array:
     """Interpolate (h, w) at (N, W, 2) pixels; 0 outside."""
     if len(places) == 0:
         return np.zeros(places.shape[:2], np.float32)

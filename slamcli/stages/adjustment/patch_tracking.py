@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import Float64Array, Int64Array, UInt8Array
 from slamcli.stages.adjustment.patch_alignment import (
     HALF_PIXELS,
+    Warp,
     align,
     cut,
     evaluate,
@@ -24,33 +25,12 @@ from slamcli.stages.adjustment.patch_alignment import (
     slope_of_warp,
     slopes,
 )
+from slamcli.stages.adjustment.pyramid import DEEPEST_LEVEL, Pyramid
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.stages.adjustment.patch_alignment import Warp
-
-DEEPEST_LEVEL = 3
 # Weaker gradients, in gray levels a pixel, are the camera's noise.
 _LEAST_GRADIENT_GRAY = 1.5
 # Corners tell both directions; a line's one is worth this share of it.
 _LINE_SHARE = 0.05
-_SMOOTHING_PIXELS = 0.8
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pyramid:
-    """A gray picture at full size, half, a quarter ..., as what is looked for and looked in.
-
-    Attributes
-    ----------
-    images : tuple of (h, w) float32
-    masks : tuple of (h, w) uint8
-        255 where the picture shows usable floor.
-    """
-
-    images: tuple[NDArray[np.float32], ...]
-    masks: tuple[NDArray[np.uint8], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,25 +49,15 @@ class Matches:
 
     a: int
     b: int
-    pixels_a: NDArray[np.float64]
-    pixels_b: NDArray[np.float64]
-    whitening: NDArray[np.float64]
+    pixels_a: Float64Array
+    pixels_b: Float64Array
+    whitening: Float64Array
 
     def __len__(self) -> int:
         return len(self.pixels_a)
 
 
-def make_pyramid(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> Pyramid:
-    """Return the levels of a gray picture (H, W) whose usable floor has 255 in the mask."""
-    level = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTHING_PIXELS)
-    images, masks = [np.asarray(level, np.float32)], [mask]
-    for _ in range(DEEPEST_LEVEL):
-        images.append(np.asarray(cv2.pyrDown(images[-1]), np.float32))
-        masks.append(np.asarray(cv2.pyrDown(masks[-1]), np.uint8))
-    return Pyramid(tuple(images), tuple(masks))
-
-
-def choose_points(pyramid: Pyramid, seen: NDArray[np.uint8], count: int) -> NDArray[np.float64]:
+def choose_points(pyramid: Pyramid, seen: UInt8Array, count: int) -> Float64Array:
     """Return up to about `count` (N, 2) pixels that tell most, one in each cell of a raster.
 
     Parameters
@@ -120,10 +90,10 @@ def choose_points(pyramid: Pyramid, seen: NDArray[np.uint8], count: int) -> NDAr
 def track(
     first: Pyramid,
     second: Pyramid,
-    points: NDArray[np.float64],
+    points: Float64Array,
     second_from_first: Warp,
     coarsest: int = DEEPEST_LEVEL,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Int64Array, Float64Array, Float64Array]:
     """Find points of one picture in another.
 
     Parameters

@@ -9,19 +9,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import BoolArray, Float64Array
 from slamcli.core.camera import projection
-from slamcli.core.geometry import apply_homography, invert
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import Calibration, Rocking
+from slamcli.core.camera.calibration import Calibration, Rocking
+from slamcli.core.geometry import Pose2, apply_homography, invert
 
 # What the camera's own parameters are, and each frame's, in the order of the Jacobians' columns.
 CAMERA_PARAMETERS = 7
@@ -60,13 +55,13 @@ class Transfer:
         (rad) and log height.
     """
 
-    pixels: NDArray[np.float64]
-    by_camera: NDArray[np.float64]
-    by_a: NDArray[np.float64]
-    by_b: NDArray[np.float64]
+    pixels: Float64Array
+    by_camera: Float64Array
+    by_a: Float64Array
+    by_b: Float64Array
 
 
-def changed(calibration: Calibration, change: NDArray[np.float64]) -> Calibration:
+def changed(calibration: Calibration, change: Float64Array) -> Calibration:
     """Return a calibration whose `CAMERA_PARAMETERS` differ by so much; its height stays."""
     zoom = math.exp(float(change[0]))
     matrix = calibration.camera_matrix @ np.diag([zoom, zoom, 1.0])
@@ -88,15 +83,13 @@ def changed(calibration: Calibration, change: NDArray[np.float64]) -> Calibratio
     )
 
 
-def transfer(
-    calibration: Calibration, a: View, b: View, pixels_a: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def transfer(calibration: Calibration, a: View, b: View, pixels_a: Float64Array) -> Float64Array:
     """Return (N, 2): where b sees the floor that a sees at (N, 2) pixels; nan where it does not."""
     return transfer_with_jacobians(calibration, a, b, pixels_a).pixels
 
 
 def transfer_with_jacobians(
-    calibration: Calibration, a: View, b: View, pixels_a: NDArray[np.float64]
+    calibration: Calibration, a: View, b: View, pixels_a: Float64Array
 ) -> Transfer:
     """Return where b sees the floor that a sees at (N, 2) pixels, and its derivatives."""
     count = len(pixels_a)
@@ -138,32 +131,32 @@ class _Seen:
     That is by log focal length, two radial coefficients, and the principal point.
     """
 
-    pixels: NDArray[np.float64]
-    by_ray: NDArray[np.float64]
-    by_lens: NDArray[np.float64]
+    pixels: Float64Array
+    by_ray: Float64Array
+    by_lens: Float64Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Floor:
     """Rays on the floor, robot frame (N, 2), by ray (N, 2, 2), by pitch, roll, log height."""
 
-    points: NDArray[np.float64]
-    seen: NDArray[np.bool_]
-    by_rays: NDArray[np.float64]
-    by_mounting: NDArray[np.float64]
+    points: Float64Array
+    seen: BoolArray
+    by_rays: Float64Array
+    by_mounting: Float64Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Back:
     """Floor points as rays (N, 2), by point (N, 2, 2), by pitch, roll, log height (N, 2, 3)."""
 
-    rays: NDArray[np.float64]
-    seen: NDArray[np.bool_]
-    by_points: NDArray[np.float64]
-    by_mounting: NDArray[np.float64]
+    rays: Float64Array
+    seen: BoolArray
+    by_points: Float64Array
+    by_mounting: Float64Array
 
 
-def _lens(calibration: Calibration, rays: NDArray[np.float64]) -> _Seen:
+def _lens(calibration: Calibration, rays: Float64Array) -> _Seen:
     matrix, distortion = calibration.camera_matrix, calibration.distortion
     still = np.zeros(3)
     points = np.column_stack([np.where(np.isfinite(rays), rays, 0.0), np.ones(len(rays))])
@@ -193,7 +186,7 @@ def _mounting(calibration: Calibration, rocking: Rocking) -> tuple[float, float,
     )
 
 
-def _to_floor(calibration: Calibration, rocking: Rocking, rays: NDArray[np.float64]) -> _Floor:
+def _to_floor(calibration: Calibration, rocking: Rocking, rays: Float64Array) -> _Floor:
     pitch, roll, height = _mounting(calibration, rocking)
     rotation = projection.robot_from_camera_rotation(pitch, roll)
     ahead = np.column_stack([rays, np.ones(len(rays))])
@@ -209,7 +202,7 @@ def _to_floor(calibration: Calibration, rocking: Rocking, rays: NDArray[np.float
     return _Floor(points, seen, by_direction @ rotation[:, :2], by_mounting)
 
 
-def _by_rotation(pitch: float, directions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _by_rotation(pitch: float, directions: Float64Array) -> Float64Array:
     """Return (N, 3, 2): how directions in the robot frame change with pitch and roll.
 
     Pitch turns about the robot's y, after roll has turned about the optical axis, whose direction
@@ -225,7 +218,7 @@ def _by_rotation(pitch: float, directions: NDArray[np.float64]) -> NDArray[np.fl
     return turned
 
 
-def _to_ray(calibration: Calibration, rocking: Rocking, points: NDArray[np.float64]) -> _Back:
+def _to_ray(calibration: Calibration, rocking: Rocking, points: Float64Array) -> _Back:
     pitch, roll, height = _mounting(calibration, rocking)
     rotation = projection.robot_from_camera_rotation(pitch, roll)
     directions = np.column_stack([points, np.full(len(points), -height)])
@@ -245,7 +238,7 @@ def _to_ray(calibration: Calibration, rocking: Rocking, points: NDArray[np.float
     return _Back(rays, seen, by_direction[:, :, :2], by_mounting)
 
 
-def _by_motion(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _by_motion(points: Float64Array) -> Float64Array:
     """Return (N, 2, 3): how points move with x, y and theta of the frame that holds them."""
     moved = np.zeros((len(points), 2, 3))
     moved[:, 0, 0] = moved[:, 1, 1] = 1.0

@@ -11,16 +11,18 @@ calibration's height.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import diags
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
+from slamcli.core.arrays import BoolArray, Float64Array
+from slamcli.core.camera.calibration import Calibration, Rocking
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Rocking
 from slamcli.stages.adjustment.equations import (
+    Block,
     Layout,
     State,
     free_unknowns,
@@ -32,6 +34,7 @@ from slamcli.stages.adjustment.equations import (
     total_cost,
     unevenness_seen,
 )
+from slamcli.stages.adjustment.patch_tracking import Matches
 from slamcli.stages.adjustment.projection import (
     CAMERA_PARAMETERS,
     View,
@@ -43,16 +46,6 @@ from slamcli.stages.adjustment.uncertainty import (
     pose_covariances,
     rocking_seen,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-    from scipy.sparse.linalg import SuperLU
-
-    from slamcli.core.records import Calibration
-    from slamcli.stages.adjustment.equations import Block
-    from slamcli.stages.adjustment.patch_tracking import Matches
 
 _MOST_ITERATIONS = 40
 _MOST_RETRIES = 6
@@ -88,10 +81,10 @@ class Adjustment:
 
     calibration: Calibration
     views: dict[int, View]
-    camera_change: NDArray[np.float64]
-    camera_covariance: NDArray[np.float64]
-    pose_covariances: dict[int, NDArray[np.float64]]
-    rocking_sigmas: NDArray[np.float64]
+    camera_change: Float64Array
+    camera_covariance: Float64Array
+    pose_covariances: dict[int, Float64Array]
+    rocking_sigmas: Float64Array
     scale: float
     unevenness_metres: float
 
@@ -102,8 +95,8 @@ def adjust(
     matches: Sequence[Matches],
     anchors: Sequence[int],
     *,
-    camera_free: NDArray[np.bool_],
-    rocking_sigmas: NDArray[np.float64],
+    camera_free: BoolArray,
+    rocking_sigmas: Float64Array,
     learning_rounds: int = 0,
 ) -> Adjustment:
     """Estimate camera, poses and rocking together.
@@ -155,7 +148,7 @@ def adjust(
 
 def residual_lengths(
     calibration: Calibration, views: Mapping[int, View], matches: Sequence[Matches]
-) -> NDArray[np.float64]:
+) -> Float64Array:
     """Return the length of every match's residual, in its own sigmas, all pairs in their order."""
     lengths = []
     for pair in matches:
@@ -171,7 +164,7 @@ def _descend(
     state: State,
     matches: Sequence[Matches],
     layout: Layout,
-    prior: NDArray[np.float64],
+    prior: Float64Array,
     iterations: int,
 ) -> tuple[State, float, SuperLU, list[Block]]:
     """Run Levenberg-Marquardt; return the state, the residuals' scale, and its last equations."""
@@ -202,7 +195,7 @@ def _descend(
     return state, scale, splu(normal), blocks
 
 
-def _moved(state: State, layout: Layout, step: NDArray[np.float64]) -> State:
+def _moved(state: State, layout: Layout, step: Float64Array) -> State:
     camera = step[:CAMERA_PARAMETERS]
     calibration = changed(state.calibration, camera)
     views = {}

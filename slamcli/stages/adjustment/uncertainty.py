@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+from scipy.sparse.linalg import SuperLU
 
-from slamcli.stages.adjustment.equations import held_values, weights
+from slamcli.core.arrays import Float64Array, Int64Array
+from slamcli.stages.adjustment.equations import Block, Layout, State, held_values, weights
 from slamcli.stages.adjustment.projection import (
     CAMERA_PARAMETERS,
     FRAME_PARAMETERS,
     POSE_PARAMETERS,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-    from scipy.sparse.linalg import SuperLU
-
-    from slamcli.stages.adjustment.equations import Block, Layout, State
-
 # By how much frames vary at least and at first: pitch, roll (rad), log height.
 _LEAST_ROCKING = np.array([2e-5, 2e-5, 1e-4])
 _COLUMNS_AT_ONCE = 240
 
 
-def rocking_seen(state: State, layout: Layout, factor: SuperLU) -> NDArray[np.float64]:
+def rocking_seen(state: State, layout: Layout, factor: SuperLU) -> Float64Array:
     """Return the sigmas that the frames' estimated rocking, and its uncertainty, speak for."""
     held = held_values(layout, state)
     marginals = _marginals(layout, factor, slice(POSE_PARAMETERS, FRAME_PARAMETERS))
@@ -42,9 +36,9 @@ def camera_covariance(
     state: State,
     factor: SuperLU,
     blocks: Sequence[Block],
-    prior: NDArray[np.float64],
+    prior: Float64Array,
     scale: float,
-) -> NDArray[np.float64]:
+) -> Float64Array:
     """Return the camera's covariance, enlarged to what the matches' disagreement speaks for.
 
     Errors of one pair are alike (an uneven floor), and so are those of pairs that share a frame
@@ -73,15 +67,13 @@ def camera_covariance(
     return np.asarray(np.where(np.outer(free, free), covariance, 0.0))
 
 
-def _pulls_of_priors(
-    layout: Layout, columns: NDArray[np.float64], pulls: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _pulls_of_priors(layout: Layout, columns: Float64Array, pulls: Float64Array) -> Float64Array:
     """Return (frames, 7): how what holds each frame's rocking pulls at the camera."""
     frames = range(len(layout.frames))
     return np.array([columns[own].T @ pulls[own] for own in map(layout.of_frame, frames)])
 
 
-def pose_covariances(layout: Layout, factor: SuperLU) -> dict[int, NDArray[np.float64]]:
+def pose_covariances(layout: Layout, factor: SuperLU) -> dict[int, Float64Array]:
     """Return the (3, 3) covariance of every frame's pose, in its own axes; zero where held."""
     marginals = _marginals(layout, factor, slice(0, POSE_PARAMETERS))
     covariances = {}
@@ -91,7 +83,7 @@ def pose_covariances(layout: Layout, factor: SuperLU) -> dict[int, NDArray[np.fl
     return covariances
 
 
-def _marginals(layout: Layout, factor: SuperLU, parts: slice) -> list[NDArray[np.float64]]:
+def _marginals(layout: Layout, factor: SuperLU, parts: slice) -> list[Float64Array]:
     """Return every frame's own block of the covariance."""
     size = parts.stop - parts.start
     at_once = max(1, _COLUMNS_AT_ONCE // size)
@@ -106,7 +98,7 @@ def _marginals(layout: Layout, factor: SuperLU, parts: slice) -> list[NDArray[np
     return found
 
 
-def _inverse_columns(factor: SuperLU, count: int, wanted: NDArray[np.int64]) -> NDArray[np.float64]:
+def _inverse_columns(factor: SuperLU, count: int, wanted: Int64Array) -> Float64Array:
     unit = np.zeros((count, len(wanted)))
     unit[wanted, np.arange(len(wanted))] = 1.0
     return np.asarray(factor.solve(unit), np.float64)

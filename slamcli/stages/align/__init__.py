@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, Int32Array
+from slamcli.core.config import MatchOptions
 from slamcli.core.geometry import Pose2, apply_homography
-from slamcli.core.records import Alignment
+from slamcli.core.records import Alignment, Features
 from slamcli.stages.align.matching import match_descriptors
 from slamcli.stages.align.models import MODELS
 from slamcli.stages.align.ransac import Consensus, ransac, residuals_of
 from slamcli.stages.align.rigid import RigidFit, fit_rigid
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import MatchOptions
-    from slamcli.core.records import Features
 
 # A rival as large as it must be to matter is drawn within this many samples.
 _RIVAL_ITERATIONS = 1000
@@ -116,10 +110,10 @@ def align(
 def _turned_alike(
     a: Features,
     b: Features,
-    matches: NDArray[np.int32],
-    a_from_b: NDArray[np.float64],
+    matches: Int32Array,
+    a_from_b: Float64Array,
     options: MatchOptions,
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Return (M,): whose surroundings are turned as the transform turns; all, where none is known.
 
     Affinities and homographies turn each direction differently.
@@ -132,12 +126,12 @@ def _turned_alike(
 
 
 def _ambiguous(
-    a_from_b: NDArray[np.float64],
-    inliers: NDArray[np.bool_],
-    rest: NDArray[np.bool_],
-    points_a: NDArray[np.float64],
-    points_b: NDArray[np.float64],
-    thresholds: NDArray[np.float64],
+    a_from_b: Float64Array,
+    inliers: BoolArray,
+    rest: BoolArray,
+    points_a: Float64Array,
+    points_b: Float64Array,
+    thresholds: Float64Array,
     options: MatchOptions,
 ) -> str:
     """Return why the matches do not single out one transform, or nothing.
@@ -169,8 +163,8 @@ def _ambiguous(
 
 
 def _thresholds(
-    sigmas_a: NDArray[np.float64], sigmas_b: NDArray[np.float64], options: MatchOptions
-) -> NDArray[np.float64]:
+    sigmas_a: Float64Array, sigmas_b: Float64Array, options: MatchOptions
+) -> Float64Array:
     """Return (M,): how far a match may lie from the transform."""
     if options.threshold is not None:
         return np.full(len(sigmas_a), options.threshold)
@@ -178,9 +172,7 @@ def _thresholds(
     return np.asarray(options.threshold_sigmas * np.sqrt(variance))
 
 
-def _nothing(
-    a: Features, b: Features, matches: NDArray[np.int32], options: MatchOptions
-) -> Alignment:
+def _nothing(a: Features, b: Features, matches: Int32Array, options: MatchOptions) -> Alignment:
     none = np.zeros(len(matches), dtype=np.bool_)
     return Alignment(
         options.model,
@@ -195,7 +187,7 @@ def _nothing(
     )
 
 
-def _too_few(inliers: NDArray[np.bool_], count_a: int, count_b: int, options: MatchOptions) -> str:
+def _too_few(inliers: BoolArray, count_a: int, count_b: int, options: MatchOptions) -> str:
     """Return why there is too little to go by, or nothing."""
     needed = options.min_inliers
     agree, count = int(inliers.sum()), len(inliers)
@@ -214,9 +206,9 @@ def _too_few(inliers: NDArray[np.bool_], count_a: int, count_b: int, options: Ma
 
 
 def _too_loose(
-    residuals: NDArray[np.float64],
-    thresholds: NDArray[np.float64],
-    inliers: NDArray[np.bool_],
+    residuals: Float64Array,
+    thresholds: Float64Array,
+    inliers: BoolArray,
     spread: float,
     options: MatchOptions,
 ) -> str:
@@ -236,9 +228,7 @@ def _too_loose(
     return ""
 
 
-def _implausible(
-    a_from_b: NDArray[np.float64], points_b: NDArray[np.float64], options: MatchOptions
-) -> str:
+def _implausible(a_from_b: Float64Array, points_b: Float64Array, options: MatchOptions) -> str:
     """Return why a camera over a floor cannot have made this transform, or nothing.
 
     The scales in the two directions are the singular values of the Jacobian at the inliers.
@@ -263,7 +253,7 @@ def _implausible(
     return ""
 
 
-def _spread(inliers: NDArray[np.float64], points: NDArray[np.float32]) -> float:
+def _spread(inliers: Float64Array, points: Float32Array) -> float:
     """Return the narrower extent of (N, 2) inliers over that of all points of the view."""
     if len(inliers) < 2:
         return 0.0
@@ -271,7 +261,7 @@ def _spread(inliers: NDArray[np.float64], points: NDArray[np.float32]) -> float:
     return _narrower_extent(inliers) / everywhere if everywhere > 0.0 else 0.0
 
 
-def _narrower_extent(points: NDArray[np.float64]) -> float:
+def _narrower_extent(points: Float64Array) -> float:
     """Return the standard deviation of (N, 2) points in the direction where it is least."""
     smallest = np.linalg.eigvalsh(np.cov(points.T))[0]
     return float(np.sqrt(max(smallest, 0.0)))

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import Float32Array, Float64Array, Int32Array, UInt8Array
+from slamcli.core.config import MatchOptions
 from slamcli.core.geometry import apply_homography
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import MatchOptions
-    from slamcli.core.networks import MatchNetwork
-    from slamcli.core.records import DescriptorNorm, Features
+from slamcli.core.networks import MatchNetwork
+from slamcli.core.records import DescriptorNorm, Features
 
 # Without a radius of the user's, matches this many typical sigmas about a guess are tried.
 _SEARCH_SIGMAS = 100.0
@@ -29,8 +26,8 @@ def match_descriptors(
     a: Features,
     b: Features,
     options: MatchOptions,
-    guess: NDArray[np.float64] | None = None,
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    guess: Float64Array | None = None,
+) -> tuple[Int32Array, Float32Array]:
     """Pair points by brute force, or by the options' network.
 
     Parameters
@@ -79,8 +76,8 @@ def _by_network(
     b: Features,
     network: MatchNetwork,
     max_distance: float | None,
-    mask: NDArray[np.uint8] | None,
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    mask: UInt8Array | None,
+) -> tuple[Int32Array, Float32Array]:
     """Let a network pair the points; then drop what the mask and the distance do not allow."""
     everywhere = np.concatenate([a.points, b.points])
     low, high = everywhere.min(axis=0), everywhere.max(axis=0)
@@ -101,8 +98,8 @@ def _by_network(
 
 
 def _nearest(
-    query: Features, train: Features, mask: NDArray[np.uint8] | None
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    query: Features, train: Features, mask: UInt8Array | None
+) -> tuple[Float32Array, Int32Array]:
     """Return distances (N, 2) and indices (N, 2) of each query's two nearest; index -1: none."""
     norm = _NORMS[query.norm]
     kind = cv2.CV_32F if query.norm == "l2" else cv2.CV_32S
@@ -117,8 +114,8 @@ def _nearest(
 
 
 def _near_guess(
-    a: Features, b: Features, a_from_b: NDArray[np.float64], options: MatchOptions
-) -> NDArray[np.uint8]:
+    a: Features, b: Features, a_from_b: Float64Array, options: MatchOptions
+) -> UInt8Array:
     """Return the (Na, Nb) mask of pairs that the guess and its uncertainty allow."""
     expected = apply_homography(a_from_b, b.points)
     centre = apply_homography(a_from_b, np.zeros(2))
@@ -137,9 +134,7 @@ def _near_guess(
     return np.asarray(left @ right.T <= 0.0).view(np.uint8)
 
 
-def _unique(
-    pairs: NDArray[np.int32], distances: NDArray[np.float32]
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def _unique(pairs: Int32Array, distances: Float32Array) -> tuple[Int32Array, Float32Array]:
     """Keep, of pairs that share a point of b, the one that is most alike."""
     order = np.lexsort((pairs[:, 0], distances))
     _, first = np.unique(pairs[order, 1], return_index=True)

@@ -7,17 +7,14 @@ transform, Hartley, PAMI 19, 1997.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import TransformModel
+from slamcli.core.arrays import BoolArray, Complex128Array, Float64Array
+from slamcli.core.config import TransformModel
 
 # Three points closer to one line than this share of their extent determine nothing.
 _LEAST_RELATIVE_AREA = 0.02
@@ -41,23 +38,17 @@ class Model:
     name: TransformModel
     sample_size: int
     isometric: bool
-    fit: Callable[
-        [NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]
-    ]
+    fit: Callable[[Float64Array, Float64Array, Float64Array], Float64Array]
 
 
-def fit_rigid_motion(
-    a: NDArray[np.float64], b: NDArray[np.float64], weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def fit_rigid_motion(a: Float64Array, b: Float64Array, weights: Float64Array) -> Float64Array:
     """Fit rotation and translation: (K, n, 2) points each, (K, 3, 3) a_from_b."""
     centre_a, centre_b, rotation = _complex_regression(a, b, weights)
     with np.errstate(divide="ignore", invalid="ignore"):
         return _from_complex(rotation / np.abs(rotation), centre_a, centre_b)
 
 
-def fit_similarity(
-    a: NDArray[np.float64], b: NDArray[np.float64], weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def fit_similarity(a: Float64Array, b: Float64Array, weights: Float64Array) -> Float64Array:
     """Fit rotation, scale and translation: (K, n, 2) points each, (K, 3, 3) a_from_b."""
     centre_a, centre_b, rotation = _complex_regression(a, b, weights)
     complex_b = b[..., 0] + 1j * b[..., 1]
@@ -66,9 +57,7 @@ def fit_similarity(
         return _from_complex(rotation / moment, centre_a, centre_b)
 
 
-def fit_affine(
-    a: NDArray[np.float64], b: NDArray[np.float64], weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def fit_affine(a: Float64Array, b: Float64Array, weights: Float64Array) -> Float64Array:
     """Fit a linear map and a translation: (K, n, 2) points each, (K, 3, 3) a_from_b."""
     centre_a, centre_b = _weighted_centre(a, weights), _weighted_centre(b, weights)
     centred_a, centred_b = a - centre_a[:, None], b - centre_b[:, None]
@@ -86,9 +75,7 @@ def fit_affine(
     return matrix
 
 
-def fit_homography(
-    a: NDArray[np.float64], b: NDArray[np.float64], weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def fit_homography(a: Float64Array, b: Float64Array, weights: Float64Array) -> Float64Array:
     """Fit a homography by the normalised DLT: (K, n, 2) points each, (K, 3, 3) a_from_b."""
     normalising_a, normalising_b = _normalising(a), _normalising(b)
     u = _apply(normalising_a, a)
@@ -115,7 +102,7 @@ def fit_homography(
     with np.errstate(divide="ignore", invalid="ignore"):
         back[:, 0, 0] = back[:, 1, 1] = 1.0 / scale_a
         back[:, :2, 2] = -normalising_a[:, :2, 2] / scale_a[:, None]
-        matrix: NDArray[np.float64] = back @ normalised @ normalising_b
+        matrix: Float64Array = back @ normalised @ normalising_b
         # The scale of a homography is free; w is made 1 at b's centre, which is surely in view.
         depth = np.einsum("ki,ki->k", matrix[:, 2, :2], b.mean(axis=1)) + matrix[:, 2, 2]
         matrix /= depth[:, None, None]
@@ -132,8 +119,8 @@ MODELS: Final[dict[TransformModel, Model]] = {
 
 
 def sound_samples(
-    a: NDArray[np.float64], b: NDArray[np.float64], thresholds: NDArray[np.float64], model: Model
-) -> NDArray[np.bool_]:
+    a: Float64Array, b: Float64Array, thresholds: Float64Array, model: Model
+) -> BoolArray:
     """Tell which minimal samples can determine a transform at all.
 
     Parameters
@@ -167,8 +154,8 @@ def sound_samples(
 
 
 def _complex_regression(
-    a: NDArray[np.float64], b: NDArray[np.float64], weights: NDArray[np.float64]
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
+    a: Float64Array, b: Float64Array, weights: Float64Array
+) -> tuple[Complex128Array, Complex128Array, Complex128Array]:
     """Return both centres and the sum of a times conjugate b, points taken as complex numbers."""
     complex_a, complex_b = a[..., 0] + 1j * a[..., 1], b[..., 0] + 1j * b[..., 1]
     total = weights.sum(axis=1)
@@ -178,18 +165,16 @@ def _complex_regression(
     return centre_a, centre_b, np.sum(weights * product, axis=1)
 
 
-def _weighted_centre(
-    points: NDArray[np.float64], weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _weighted_centre(points: Float64Array, weights: Float64Array) -> Float64Array:
     total = weights.sum(axis=1)[:, None]
     return np.asarray(np.sum(weights[..., None] * points, axis=1) / total)
 
 
 def _from_complex(
-    factor: NDArray[np.complex128],
-    centre_a: NDArray[np.complex128],
-    centre_b: NDArray[np.complex128],
-) -> NDArray[np.float64]:
+    factor: Complex128Array,
+    centre_a: Complex128Array,
+    centre_b: Complex128Array,
+) -> Float64Array:
     """Return the (K, 3, 3) matrices of z -> factor (z - centre_b) + centre_a."""
     offset = centre_a - factor * centre_b
     matrix = _identities(len(factor))
@@ -199,11 +184,11 @@ def _from_complex(
     return matrix
 
 
-def _identities(count: int) -> NDArray[np.float64]:
+def _identities(count: int) -> Float64Array:
     return np.tile(np.eye(3), (count, 1, 1))
 
 
-def _normalising(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normalising(points: Float64Array) -> Float64Array:
     """Return (K, 3, 3) similarities that bring (K, n, 2) points to centre 0, mean distance 1."""
     centre = points.mean(axis=1)
     distance = np.linalg.norm(points - centre[:, None], axis=2).mean(axis=1)
@@ -215,19 +200,17 @@ def _normalising(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return matrix
 
 
-def _apply(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _apply(matrix: Float64Array, points: Float64Array) -> Float64Array:
     """Map (K, n, 2) points by (K, 3, 3) transforms without perspective."""
-    mapped: NDArray[np.float64] = (
-        points @ matrix[:, :2, :2].transpose(0, 2, 1) + matrix[:, None, :2, 2]
-    )
+    mapped: Float64Array = points @ matrix[:, :2, :2].transpose(0, 2, 1) + matrix[:, None, :2, 2]
     return mapped
 
 
-def _relative_area(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _relative_area(corners: Float64Array) -> Float64Array:
     """Return (K,) twice the signed area of (K, 3, 2) triangles over their longest side squared."""
     side, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     third = other - side
     longest = np.max([np.sum(edge**2, axis=1) for edge in (side, other, third)], axis=0)
     cross = side[:, 0] * other[:, 1] - side[:, 1] * other[:, 0]
-    area: NDArray[np.float64] = cross / np.maximum(longest, np.finfo(float).tiny)
+    area: Float64Array = cross / np.maximum(longest, np.finfo(float).tiny)
     return area

@@ -8,16 +8,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamcli.stages.align.models import sound_samples
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.stages.align.models import Model
+from slamcli.core.arrays import BoolArray, Float64Array
+from slamcli.stages.align.models import Model, sound_samples
 
 _FIRST_HYPOTHESES = 64
 _MOST_HYPOTHESES_AT_ONCE = 512
@@ -42,17 +37,17 @@ class Consensus:
         Hypotheses drawn.
     """
 
-    a_from_b: NDArray[np.float64]
-    inliers: NDArray[np.bool_]
-    residuals: NDArray[np.float64]
+    a_from_b: Float64Array
+    inliers: BoolArray
+    residuals: Float64Array
     iterations: int
 
 
 def ransac(
-    points_a: NDArray[np.float64],
-    points_b: NDArray[np.float64],
+    points_a: Float64Array,
+    points_b: Float64Array,
     model: Model,
-    thresholds: float | NDArray[np.float64],
+    thresholds: float | Float64Array,
     *,
     confidence: float = 0.999,
     max_iterations: int = 5000,
@@ -105,11 +100,11 @@ def ransac(
 
 
 def residuals_of(
-    hypotheses: NDArray[np.float64],
-    points_a: NDArray[np.float64],
-    points_b: NDArray[np.float64],
+    hypotheses: Float64Array,
+    points_a: Float64Array,
+    points_b: Float64Array,
     model: Model,
-) -> NDArray[np.float64]:
+) -> Float64Array:
     """Return (K, M) distances between (M, 2) matched points under (K, 3, 3) ``a_from_b``.
 
     For a model that changes scale, the larger of the distances in a and in b; inf behind the
@@ -122,11 +117,11 @@ def residuals_of(
 
 
 def _hypotheses(
-    sample_a: NDArray[np.float64],
-    sample_b: NDArray[np.float64],
-    limits: NDArray[np.float64],
+    sample_a: Float64Array,
+    sample_b: Float64Array,
+    limits: Float64Array,
     model: Model,
-) -> NDArray[np.float64]:
+) -> Float64Array:
     sound = sound_samples(sample_a, sample_b, limits, model)
     fitted = model.fit(sample_a[sound], sample_b[sound], np.ones_like(limits[sound]))
     fitted = fitted[np.isfinite(fitted).all(axis=(1, 2))]
@@ -135,12 +130,12 @@ def _hypotheses(
 
 
 def _best(
-    hypotheses: NDArray[np.float64],
-    points_a: NDArray[np.float64],
-    points_b: NDArray[np.float64],
-    limits: NDArray[np.float64],
+    hypotheses: Float64Array,
+    points_a: Float64Array,
+    points_b: Float64Array,
+    limits: Float64Array,
     model: Model,
-) -> tuple[NDArray[np.float64] | None, tuple[int, float]]:
+) -> tuple[Float64Array | None, tuple[int, float]]:
     """Return the best hypothesis with its rank: inliers, then minus their net distance."""
     if not len(hypotheses):
         return None, (0, 0.0)
@@ -161,10 +156,10 @@ def _needed(inlier_ratio: float, sample_size: int, confidence: float) -> int:
 
 
 def _refit(
-    a_from_b: NDArray[np.float64],
-    points_a: NDArray[np.float64],
-    points_b: NDArray[np.float64],
-    limits: NDArray[np.float64],
+    a_from_b: Float64Array,
+    points_a: Float64Array,
+    points_b: Float64Array,
+    limits: Float64Array,
     model: Model,
     iterations: int,
 ) -> Consensus | None:
@@ -188,10 +183,10 @@ def _refit(
 
 
 def _distances(
-    hypotheses: NDArray[np.float64],
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    hypotheses: Float64Array,
+    source: Float64Array,
+    target: Float64Array,
+) -> Float64Array:
     """Return (K, M) distances of mapped (M, 2) source points from their targets."""
     homogeneous = np.vstack([source.T, np.ones(len(source))])
     mapped = (hypotheses.reshape(-1, 3) @ homogeneous).reshape(-1, 3, len(source))
@@ -203,7 +198,7 @@ def _distances(
     return np.hypot(x - target[:, 0], y - target[:, 1])
 
 
-def _inverses(hypotheses: NDArray[np.float64]) -> NDArray[np.float64]:
+def _inverses(hypotheses: Float64Array) -> Float64Array:
     """Return the inverses of (K, 3, 3) transforms, with w kept positive where they map to.
 
     The adjugate is the inverse times the determinant, and exists for singular matrices too.
@@ -214,5 +209,5 @@ def _inverses(hypotheses: NDArray[np.float64]) -> NDArray[np.float64]:
     )
     determinant = np.einsum("ki,ki->k", first, adjugate[:, 0])
     with np.errstate(divide="ignore", invalid="ignore"):
-        inverse: NDArray[np.float64] = adjugate / determinant[:, None, None]
+        inverse: Float64Array = adjugate / determinant[:, None, None]
     return inverse

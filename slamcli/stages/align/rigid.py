@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.camera import projection
 from slamcli.core.geometry import Pose2
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _MOST_ITERATIONS = 20
 _CONVERGED_SIGMAS = 1e-3
@@ -42,16 +39,16 @@ class RigidFit:
     """
 
     a_from_b: Pose2
-    covariance: NDArray[np.float64]
-    weights: NDArray[np.float64]
+    covariance: Float64Array
+    weights: Float64Array
     scale: float
 
 
 def fit_rigid(
-    points_a: NDArray[np.float64],
-    points_b: NDArray[np.float64],
-    sigmas_a: NDArray[np.float64],
-    sigmas_b: NDArray[np.float64],
+    points_a: Float64Array,
+    points_b: Float64Array,
+    sigmas_a: Float64Array,
+    sigmas_b: Float64Array,
     guess: Pose2,
 ) -> RigidFit | None:
     """Refine a rigid motion by robust, weighted least squares (Gauss-Newton).
@@ -97,7 +94,7 @@ def fit_rigid(
     return RigidFit(pose, covariance, weights, scale)
 
 
-def _covariances(points: NDArray[np.float64], sigmas: NDArray[np.float64]) -> NDArray[np.float64]:
+def _covariances(points: Float64Array, sigmas: Float64Array) -> Float64Array:
     """Return (3, M) covariances xx, xy and yy in the robot frame, of sigmas in sight and across."""
     (sight_x, sight_y), (across_x, across_y) = (
         axis.T for axis in projection.line_of_sight_axes(points)
@@ -113,12 +110,12 @@ def _covariances(points: NDArray[np.float64], sigmas: NDArray[np.float64]) -> ND
 
 
 def _whitened(
-    points_a: NDArray[np.float64],
-    points_b: NDArray[np.float64],
-    covariance_a: NDArray[np.float64],
-    covariance_b: NDArray[np.float64],
+    points_a: Float64Array,
+    points_b: Float64Array,
+    covariance_a: Float64Array,
+    covariance_b: Float64Array,
     pose: Pose2,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Float64Array, Float64Array]:
     """Return residuals (2, M) in sigmas and their Jacobian (3, 2, M) by a motion in b's axes."""
     cosine, sine = math.cos(pose.theta), math.sin(pose.theta)
     residual_x, residual_y = (points_a - pose.apply(points_b)).T
@@ -142,7 +139,7 @@ def _whitened(
     return residual, jacobian
 
 
-def _turning(cosine: float, sine: float) -> NDArray[np.float64]:
+def _turning(cosine: float, sine: float) -> Float64Array:
     """Return what turns covariances xx, xy and yy, as R S R^T does."""
     return np.array(
         [
@@ -153,18 +150,18 @@ def _turning(cosine: float, sine: float) -> NDArray[np.float64]:
     )
 
 
-def _products(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def _products(first: Float64Array, second: Float64Array) -> Float64Array:
     """Return (3, 3) sums over all residuals of products of two Jacobians' columns."""
     return np.asarray(first.reshape(3, -1) @ second.reshape(3, -1).T)
 
 
-def _kernel(length: NDArray[np.float64]) -> NDArray[np.float64]:
+def _kernel(length: Float64Array) -> Float64Array:
     """Return Geman and McClure's weights of residual lengths in sigmas."""
-    weights: NDArray[np.float64] = (1.0 + (length / _KERNEL_SIGMAS) ** 2) ** -2
+    weights: Float64Array = (1.0 + (length / _KERNEL_SIGMAS) ** 2) ** -2
     return weights
 
 
-def _scale(length: NDArray[np.float64]) -> float:
+def _scale(length: Float64Array) -> float:
     """Return how many times larger residuals are than their sigmas said, by their median."""
     count = len(length)
     measured = (float(np.median(length)) / _RAYLEIGH_MEDIAN) ** 2
@@ -174,8 +171,8 @@ def _scale(length: NDArray[np.float64]) -> float:
 
 
 def _covariance_of_estimate(
-    length: NDArray[np.float64], jacobian: NDArray[np.float64], scale: float
-) -> NDArray[np.float64] | None:
+    length: Float64Array, jacobian: Float64Array, scale: float
+) -> Float64Array | None:
     """Return the covariance of an M-estimate (Huber, Robust Statistics, 7.6).
 
     ``E[psi^2] / E[psi']^2`` times the covariance of least squares, with psi the weighted residual,

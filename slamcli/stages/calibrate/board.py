@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array
 from slamcli.core.errors import CalibrationError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 # What refinement leaves on a board in focus, one sigma; the fit scales it where it leaves more.
 CHESSBOARD_SIGMA_PIXELS = 0.1
@@ -19,8 +16,8 @@ _REFINED_TO_PIXELS = 1e-3
 
 
 def find_chessboard(
-    image: NDArray[np.uint8], columns: int, rows: int, side_metres: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    image: UInt8Array, columns: int, rows: int, side_metres: float
+) -> tuple[Float64Array, Float64Array]:
     """Return the inner corners of a chessboard on the floor and where they are seen.
 
     Parameters
@@ -62,7 +59,7 @@ def find_chessboard(
     return target, pixels
 
 
-def _refine_crossings(gray: NDArray[np.uint8], grid: NDArray[np.float32]) -> NDArray[np.float64]:
+def _refine_crossings(gray: UInt8Array, grid: Float32Array) -> Float64Array:
     """Move (rows, columns, 2) crossings to where all gradients around point past them.
 
     The detector (Duda and Frese, BMVC 2018) leaves about half a pixel on the flat fields of a board
@@ -76,7 +73,7 @@ def _refine_crossings(gray: NDArray[np.uint8], grid: NDArray[np.float32]) -> NDA
     return np.asarray(refined, dtype=np.float64).reshape(-1, 2)
 
 
-def find_marker(image: NDArray[np.uint8], dictionary: str) -> tuple[NDArray[np.float64], int]:
+def find_marker(image: UInt8Array, dictionary: str) -> tuple[Float64Array, int]:
     """Return the corners of an ArUco marker on the floor, and its number.
 
     Parameters

@@ -8,18 +8,15 @@ example 8.18: the images of two perpendicular floor directions of equal length).
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Intrinsics
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import apply_homography, invert
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from slamcli.core.records import Intrinsics
 
 # Focal lengths, in picture widths, that a robot's camera may have: 118 to 14 degrees of view
 # from side to side.
@@ -27,13 +24,13 @@ FOCAL_RANGE_WIDTHS = (0.3, 4.0)
 _SEARCH_STEPS = 33
 
 
-def square_target(side_metres: float) -> NDArray[np.float64]:
+def square_target(side_metres: float) -> Float64Array:
     """Return (4, 2) corners, metres, clockwise as the camera sees them (y up in this frame)."""
     half = side_metres / 2.0
     return np.array([[-half, half], [half, half], [half, -half], [-half, -half]])
 
 
-def sort_corners(corners: ArrayLike, image_size: tuple[int, int]) -> NDArray[np.float64]:
+def sort_corners(corners: ArrayLike, image_size: tuple[int, int]) -> Float64Array:
     """Return four corners clockwise in the picture, from the upper left.
 
     Raises
@@ -68,7 +65,7 @@ def sort_corners(corners: ArrayLike, image_size: tuple[int, int]) -> NDArray[np.
     return ordered
 
 
-def fit_homography(target: NDArray[np.float64], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+def fit_homography(target: Float64Array, pixels: Float64Array) -> Float64Array:
     """Return the (3, 3) homography pixel_from_target by the normalised direct linear transform."""
     target_scaling, pixel_scaling = _normalising(target), _normalising(pixels)
     source = apply_homography(target_scaling, target)
@@ -83,13 +80,11 @@ def fit_homography(target: NDArray[np.float64], pixels: NDArray[np.float64]) -> 
     )
     _, _, right = np.linalg.svd(rows)
     homography = invert(pixel_scaling) @ right[-1].reshape(3, 3) @ target_scaling
-    result: NDArray[np.float64] = homography / np.linalg.norm(homography)
+    result: Float64Array = homography / np.linalg.norm(homography)
     return result
 
 
-def focal_from_homography(
-    centred_from_target: NDArray[np.float64], width_pixels: float
-) -> float | None:
+def focal_from_homography(centred_from_target: Float64Array, width_pixels: float) -> float | None:
     """Return the focal length, pixels, in closed form, or None where the picture does not tell it.
 
     Parameters
@@ -121,7 +116,7 @@ def focal_from_homography(
 
 
 def squareness(
-    corners: NDArray[np.float64],
+    corners: Float64Array,
     image_size: tuple[int, int],
     intrinsics: Intrinsics | None,
     tolerance_pixels: float,
@@ -171,7 +166,7 @@ def squareness(
     return best
 
 
-def floor_axes(columns: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def floor_axes(columns: Float64Array) -> tuple[Float64Array, float]:
     """Return the floor's upward unit normal in optical axes, and the homography's signed scale.
 
     The target's axes are right-handed seen from above, so x cross y is up; the scale's sign is
@@ -185,7 +180,7 @@ def floor_axes(columns: NDArray[np.float64]) -> tuple[NDArray[np.float64], float
     return normal / np.linalg.norm(normal), scale
 
 
-def tilt(up: NDArray[np.float64]) -> tuple[float, float]:
+def tilt(up: Float64Array) -> tuple[float, float]:
     """Return pitch and roll, radians, from the upward normal in optical axes (x right, y down)."""
     return math.asin(float(np.clip(-up[2], -1.0, 1.0))), math.atan2(-up[0], -up[1])
 
@@ -197,7 +192,7 @@ def _plausible(pitch_radians: float, roll_radians: float) -> float:
     return math.exp(-0.5 * ((outside / 6.0) ** 2 + (roll / 15.0) ** 2))
 
 
-def _normalising(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normalising(points: Float64Array) -> Float64Array:
     """Return the (3, 3) similarity that centres points and brings them to unit spread."""
     middle = points.mean(axis=0)
     spread = float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1))))

@@ -9,23 +9,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration, Intrinsics
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import Pose2, apply_homography, invert
-from slamcli.core.records import Calibration, Intrinsics
 from slamcli.stages.calibrate.closed_form import (
     fit_homography,
     floor_axes,
     focal_from_homography,
     tilt,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 # Beyond this the height and the pitch are guesses too.
 _MOST_FOCAL_SIGMA_SHARE = 0.25
@@ -50,9 +47,9 @@ class FloorPoints:
         Of pixels (x0, y0, x1, ...).
     """
 
-    target: NDArray[np.float64]
-    pixels: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    target: Float64Array
+    pixels: Float64Array
+    covariance: Float64Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +75,7 @@ class Mounting:
     height_metres: float
     pitch_radians: float
     roll_radians: float
-    sigmas: NDArray[np.float64]
+    sigmas: Float64Array
     robot_from_target: Pose2
     residual_pixels: float
     misfit_sigmas: float
@@ -169,22 +166,20 @@ def make_calibration(
     return calibration
 
 
-def _refine(
-    points: FloorPoints, camera_matrix: NDArray[np.float64], *, focal_free: bool
-) -> Mounting:
+def _refine(points: FloorPoints, camera_matrix: Float64Array, *, focal_free: bool) -> Mounting:
     """Run Levenberg-Marquardt on (log f,) log height, pitch, roll, x, y, yaw."""
     parameters = _start(points, camera_matrix)
     if not focal_free:
         parameters = parameters[1:]
     whiten = invert(np.asarray(np.linalg.cholesky(points.covariance), dtype=np.float64))
 
-    def unpack(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def unpack(values: Float64Array) -> Float64Array:
         return values if focal_free else np.concatenate([[0.0], values])
 
     # Slow to load, and of no use to those who only read a calibration.
     from scipy.optimize import least_squares
 
-    def residuals(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residuals(values: Float64Array) -> Float64Array:
         projected = _project(points.target, camera_matrix, unpack(values))
         return np.asarray(whiten @ (projected - points.pixels).ravel(), dtype=np.float64)
 
@@ -223,15 +218,15 @@ def _refine(
 
 
 def _project(
-    target: NDArray[np.float64], camera_matrix: NDArray[np.float64], values: NDArray[np.float64]
-) -> NDArray[np.float64]:
+    target: Float64Array, camera_matrix: Float64Array, values: Float64Array
+) -> Float64Array:
     log_zoom, log_height, pitch, roll, x, y, yaw = (float(value) for value in values)
     zoomed = camera_matrix @ np.diag([math.exp(log_zoom), math.exp(log_zoom), 1.0])
     homography = projection.image_from_robot_homography(zoomed, math.exp(log_height), pitch, roll)
     return apply_homography(homography, Pose2(x, y, yaw).apply(target))
 
 
-def _start(points: FloorPoints, camera_matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def _start(points: FloorPoints, camera_matrix: Float64Array) -> Float64Array:
     """Return (7,) starting values from the homography's columns; log zoom 0."""
     columns = invert(camera_matrix) @ fit_homography(points.target, points.pixels)
     up, scale = floor_axes(columns)

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from slamcli.core.geometry import apply_homography, invert
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import DenseLevel, View
+from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
+from slamcli.core.geometry import Pose2, apply_homography, invert
+from slamcli.core.records import DenseLevel, View
 
 _LEAST_SHARED_PIXELS = 200
 _OVERLAP_STEP = 16
@@ -72,7 +66,7 @@ def overlap(view_a: View, view_b: View, a_from_b: Pose2) -> float:
     return shared / max(1, len(points_b))
 
 
-def agreement(a: DenseLevel, b: DenseLevel, view_a_from_view_b: NDArray[np.float64]) -> Agreement:
+def agreement(a: DenseLevel, b: DenseLevel, view_a_from_view_b: Float64Array) -> Agreement:
     """Correlate the overlap of two views, at one level of their pyramids.
 
     Parameters
@@ -95,9 +89,7 @@ def agreement(a: DenseLevel, b: DenseLevel, view_a_from_view_b: NDArray[np.float
     return Agreement(correlation, shared / smaller, confirmed)
 
 
-def _correlation(
-    first: NDArray[np.uint8], second: NDArray[np.uint8], both: NDArray[np.bool_]
-) -> float:
+def _correlation(first: UInt8Array, second: UInt8Array, both: BoolArray) -> float:
     """Return the correlation of two pictures where both count; 0 where either is even."""
     count = np.count_nonzero(both)
     mask = both.view(np.uint8)
@@ -117,8 +109,8 @@ def _correlation(
 def preference(
     a: DenseLevel,
     b: DenseLevel,
-    view_a_from_view_b: NDArray[np.float64],
-    rival: NDArray[np.float64],
+    view_a_from_view_b: Float64Array,
+    rival: Float64Array,
 ) -> tuple[float, float]:
     """Return which share of the patches that tell speak clearly for one motion, and for its rival.
 
@@ -146,7 +138,7 @@ def preference(
 
 
 def agreeing(
-    levels_a: Sequence[DenseLevel], b: DenseLevel, view_a_from_view_b: NDArray[np.float64]
+    levels_a: Sequence[DenseLevel], b: DenseLevel, view_a_from_view_b: Float64Array
 ) -> tuple[DenseLevel, ...]:
     """Return levels of view a with those points alone that lie in patches which agree with b.
 
@@ -187,8 +179,8 @@ def agreeing(
 
 
 def _laid_over(
-    a: DenseLevel, b: DenseLevel, view_a_from_view_b: NDArray[np.float64]
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    a: DenseLevel, b: DenseLevel, view_a_from_view_b: Float64Array
+) -> tuple[UInt8Array, BoolArray]:
     """Return b's picture as a sees it, and where both see the floor."""
     b_from_a_pixel = invert(view_a_from_view_b) @ invert(a.pixel_from_metres)
     b_pixel_from_a_pixel = b.pixel_from_metres @ b_from_a_pixel
@@ -206,12 +198,12 @@ def _telling_gray(a: DenseLevel, b: DenseLevel, noise_share: float = 1.0) -> flo
 
 
 def _patch_correlations(
-    image_a: NDArray[np.uint8],
-    image_b: NDArray[np.uint8],
-    both: NDArray[np.bool_],
+    image_a: UInt8Array,
+    image_b: UInt8Array,
+    both: BoolArray,
     side: int,
     telling_gray: float,
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+) -> tuple[Float32Array, BoolArray]:
     """Return each patch's own correlation, and whether it is whole and shows more than noise."""
     rows, columns = (whole - whole % side for whole in both.shape)
     first, second, weight = (

@@ -8,18 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from scipy import fft
 
+from slamcli.core.arrays import BoolArray, Complex64Array, Float32Array, Float64Array, Int64Array
 from slamcli.core.geometry import Pose2, apply_homography, invert
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import DenseLevel
+from slamcli.core.records import DenseLevel
 
 _STEP_RADIANS = math.radians(4.0)
 # An overlap in which hardly anything is to be seen correlates by chance: this share of the whole
@@ -91,7 +87,7 @@ class Search:
     """
 
     candidates: tuple[Candidate, ...]
-    surface: NDArray[np.float32]
+    surface: Float32Array
     metres_per_pixel: float
 
 
@@ -146,7 +142,7 @@ def search(
     return Search(tuple(found), np.asarray(surface, np.float32), a.metres_per_pixel)
 
 
-def autocorrelation(level: DenseLevel) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def autocorrelation(level: DenseLevel) -> tuple[Float32Array, Float32Array]:
     """Return how a view correlates with itself, shifted, and which share of it both then see.
 
     Two pictures of equal shape, no shift in their middle, pixel (rows // 2, columns // 2).
@@ -165,7 +161,7 @@ def autocorrelation(level: DenseLevel) -> tuple[NDArray[np.float32], NDArray[np.
 
 
 def evidence(
-    a: DenseLevel, b: DenseLevel, a_from_b: Pose2, view_a_from_view_b: NDArray[np.float64]
+    a: DenseLevel, b: DenseLevel, a_from_b: Pose2, view_a_from_view_b: Float64Array
 ) -> Candidate:
     """Return how the pixels of two views speak for one motion.
 
@@ -199,7 +195,7 @@ def _total(values: cv2.typing.MatLike) -> float:
     return float(cv2.sumElems(values)[0])
 
 
-def _middle_of(weight: NDArray[np.float32]) -> tuple[float, float]:
+def _middle_of(weight: Float32Array) -> tuple[float, float]:
     """Return the (column, row) about which what was seen turns without leaving its frame."""
     rows, columns = np.nonzero(weight)
     if len(rows) == 0:
@@ -208,8 +204,8 @@ def _middle_of(weight: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def _transforms(
-    values: NDArray[np.float32], weight: NDArray[np.float32], shape: tuple[int, int]
-) -> tuple[NDArray[np.complex64], NDArray[np.complex64], NDArray[np.complex64]]:
+    values: Float32Array, weight: Float32Array, shape: tuple[int, int]
+) -> tuple[Complex64Array, Complex64Array, Complex64Array]:
     """Return the spectra of a picture, of its square, and of where it is seen."""
     weighted = values * weight
     return (
@@ -220,11 +216,11 @@ def _transforms(
 
 
 def _correlate(
-    first: tuple[NDArray[np.complex64], ...],
-    second: tuple[NDArray[np.complex64], ...],
+    first: tuple[Complex64Array, ...],
+    second: tuple[Complex64Array, ...],
     energy: tuple[float, float],
     shape: tuple[int, int],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[Float32Array, Float32Array]:
     """Return the correlation and the shared pixels at every translation of the second picture."""
     values, squares, seen = (np.conj(spectrum) for spectrum in second)
     product = fft.irfft2(first[0] * values, shape)
@@ -237,9 +233,7 @@ def _correlate(
     return np.asarray(correlation, np.float32), np.asarray(pixels, np.float32)
 
 
-def _evidence(
-    correlation: float | NDArray[np.float32], pixels: float | NDArray[np.float32]
-) -> NDArray[np.float64]:
+def _evidence(correlation: float | Float32Array, pixels: float | Float32Array) -> Float64Array:
     """Return ``-n log(1 - r^2)``: twice the log likelihood ratio to unrelated pictures."""
     bounded = np.clip(correlation, 0.0, _HIGHEST_CORRELATION)
     return np.asarray(-np.log1p(-(bounded**2)) * pixels)
@@ -247,7 +241,7 @@ def _evidence(
 
 def _allowed(
     a: DenseLevel, window: Window, middle: tuple[float, float], shape: tuple[int, int]
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Return which translations of the middle of b's view lie within the window."""
     if math.isinf(window.radius_metres):
         return np.ones(shape, np.bool_)
@@ -255,13 +249,13 @@ def _allowed(
     there = apply_homography(a.pixel_from_metres, window.centre.apply(seen))[0]
     rows = _signed(np.arange(shape[0]), shape[0])[:, None] - (there[1] - middle[1])
     columns = _signed(np.arange(shape[1]), shape[1])[None, :] - (there[0] - middle[0])
-    inside: NDArray[np.bool_] = np.hypot(rows, columns) <= window.radius_metres / a.metres_per_pixel
+    inside: BoolArray = np.hypot(rows, columns) <= window.radius_metres / a.metres_per_pixel
     return inside
 
 
 def _too_far(
-    a: DenseLevel, rotation: NDArray[np.float64], window: Window, shape: tuple[int, int]
-) -> NDArray[np.bool_]:
+    a: DenseLevel, rotation: Float64Array, window: Window, shape: tuple[int, int]
+) -> BoolArray:
     """Return which translations of a turned picture take the robot farther than its way."""
     if math.isinf(window.way_metres):
         return np.zeros(shape, np.bool_)
@@ -269,16 +263,16 @@ def _too_far(
     column, row = rotation @ (*robot, 1.0) - robot
     rows = _signed(np.arange(shape[0]), shape[0])[:, None] + row
     columns = _signed(np.arange(shape[1]), shape[1])[None, :] + column
-    beyond: NDArray[np.bool_] = np.hypot(rows, columns) > window.way_metres / a.metres_per_pixel
+    beyond: BoolArray = np.hypot(rows, columns) > window.way_metres / a.metres_per_pixel
     return beyond
 
 
-def _signed(shift: NDArray[np.int64], length: int) -> NDArray[np.int64]:
+def _signed(shift: Int64Array, length: int) -> Int64Array:
     """Return cyclic shifts as signed ones."""
     return np.where(shift < length - length // 2, shift, shift - length)
 
 
-def _peaks(evidence_of: NDArray[np.float64], count: int) -> list[tuple[int, int, int]]:
+def _peaks(evidence_of: Float64Array, count: int) -> list[tuple[int, int, int]]:
     """Return (angle, row, column) of the highest values that are not each other's neighbours."""
     rest = evidence_of.copy()
     angles, height, width = rest.shape
@@ -296,7 +290,7 @@ def _peaks(evidence_of: NDArray[np.float64], count: int) -> list[tuple[int, int,
 
 def _pose(
     a: DenseLevel,
-    rotation: NDArray[np.float64],
+    rotation: Float64Array,
     row: int,
     column: int,
     shape: tuple[int, int],

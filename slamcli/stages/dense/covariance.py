@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamcli.core.geometry import invert
+from slamcli.core.arrays import Float64Array
+from slamcli.core.geometry import Pose2, invert
+from slamcli.core.records import DenseLevel
 from slamcli.stages.dense import pyramid
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import DenseLevel
 
 _LEAST_INFORMATION = 1e-8
 _CHANCE_SIGMAS = 2.0
@@ -28,8 +23,8 @@ class State:
     """The motion, and what pitch, roll and height differ by in either frame; (0,) where unknown."""
 
     a_from_b: Pose2
-    mounting_a: NDArray[np.float64]
-    mounting_b: NDArray[np.float64]
+    mounting_a: Float64Array
+    mounting_b: Float64Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,15 +43,15 @@ class Solved:
     """
 
     state: State
-    jacobian: NDArray[np.float64]
-    pixels: NDArray[np.float64]
-    points: NDArray[np.float64]
-    residual: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    prior: NDArray[np.float64]
+    jacobian: Float64Array
+    pixels: Float64Array
+    points: Float64Array
+    residual: Float64Array
+    weight: Float64Array
+    prior: Float64Array
 
 
-def covariance_of(b: DenseLevel, solved: Solved) -> NDArray[np.float64] | None:
+def covariance_of(b: DenseLevel, solved: Solved) -> Float64Array | None:
     """Return the covariance (3, 3) of the motion, from what both views show of the gradients.
 
     The noise of one view has gradients too, which would pass for knowledge of a motion along a

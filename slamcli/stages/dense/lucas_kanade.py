@@ -9,21 +9,17 @@ are estimated with the motion, held by how much they are expected to vary.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Pose2, apply_homography, invert
+from slamcli.core.records import DenseLevel
 from slamcli.stages.dense import pyramid, rocking
 from slamcli.stages.dense.covariance import Solved, State, covariance_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Calibration, DenseLevel
 
 _MOST_ITERATIONS = 12
 # A step so small leaves next to nothing to the next one. From where a sample of the points has led
@@ -74,10 +70,10 @@ class Refinement:
     """
 
     a_from_b: Pose2
-    covariance: NDArray[np.float64]
-    view_a_from_view_b: NDArray[np.float64]
-    mounting_a: NDArray[np.float64]
-    mounting_b: NDArray[np.float64]
+    covariance: Float64Array
+    view_a_from_view_b: Float64Array
+    mounting_a: Float64Array
+    mounting_b: Float64Array
     rocks: bool
 
 
@@ -93,7 +89,7 @@ class Known:
     """
 
     a_from_b: Pose2
-    covariance: NDArray[np.float64]
+    covariance: Float64Array
 
 
 def refine(
@@ -167,7 +163,7 @@ def refine(
     )
 
 
-def _strained(state: State, sigmas: NDArray[np.float64]) -> bool:
+def _strained(state: State, sigmas: Float64Array) -> bool:
     """Return whether the rocking that was found is more than its sigmas let one expect."""
     found = np.concatenate([state.mounting_a, state.mounting_b])
     return float(np.sum((found / np.tile(sigmas, 2)) ** 2)) > _MOST_STRAIN
@@ -220,7 +216,7 @@ def _ran_away(moved: Pose2, levels_a: Sequence[DenseLevel], *, searched: bool) -
     return moved.translation_length > most
 
 
-def _systematic(finest: DenseLevel) -> NDArray[np.float64]:
+def _systematic(finest: DenseLevel) -> Float64Array:
     """Return the (3, 3) covariance of what no residual shows: interpolation, blur, smear."""
     sigma = _SYSTEMATIC_PIXELS * finest.metres_per_pixel
     return np.diag([sigma**2, sigma**2, (sigma / _reach(finest)) ** 2])
@@ -248,7 +244,7 @@ def _refine_level(
     b: DenseLevel,
     state: State,
     calibration: Calibration,
-    sigmas: NDArray[np.float64],
+    sigmas: Float64Array,
     known: Known | None,
     least_pixels: float,
 ) -> Solved | None:
@@ -313,9 +309,7 @@ def _refine_level(
     return Solved(state, jacobian, pixels, points, residual, weight, prior)
 
 
-def _off_prior(
-    state: State, sigmas: NDArray[np.float64], known: Known | None
-) -> NDArray[np.float64]:
+def _off_prior(state: State, sigmas: Float64Array, known: Known | None) -> Float64Array:
     """Return (5 + 2 n,): by how much a state is off what is known beforehand."""
     off = np.zeros(5 + 2 * len(sigmas))
     if known is not None:
@@ -327,12 +321,12 @@ def _off_prior(
 
 
 def _solve(
-    jacobian: NDArray[np.float64],
-    residual: NDArray[np.float64],
-    prior: NDArray[np.float64],
-    off: NDArray[np.float64],
+    jacobian: Float64Array,
+    residual: Float64Array,
+    prior: Float64Array,
+    off: Float64Array,
     least_noise: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+) -> tuple[Float64Array, Float64Array] | None:
     """Return one robust Gauss-Newton step (K,) and the weight (N,) of each residual.
 
     Parameters
@@ -361,7 +355,7 @@ def _solve(
     return np.asarray(step, np.float64), weight
 
 
-def _median(values: NDArray[np.float64]) -> float:
+def _median(values: Float64Array) -> float:
     """Return numpy's median, without its search for what is not a number."""
     middle = len(values) // 2
     if len(values) % 2:

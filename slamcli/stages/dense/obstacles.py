@@ -7,22 +7,18 @@ camera resolves there in both views: finer detail, of what is far away, disagree
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import BoolArray, Float32Array, Float64Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import apply_homography, invert
+from slamcli.core.records import DenseLevel
 from slamcli.stages.dense import pyramid
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Calibration, DenseLevel
 
 # Side of a cell, in pixels of the finest level.
 _CELL_PIXELS = 8
@@ -54,11 +50,11 @@ class Standing:
         And it is not the same: something stands there, in this view or in the other.
     """
 
-    cells_from_metres: NDArray[np.float64]
-    judged: NDArray[np.bool_]
-    unlike: NDArray[np.bool_]
+    cells_from_metres: Float64Array
+    judged: BoolArray
+    unlike: BoolArray
 
-    def marks(self, points: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def marks(self, points: Float32Array) -> BoolArray:
         """Return which (N, 2) points of the view, metres, lie on an unlike cell."""
         column, row = np.rint(apply_homography(self.cells_from_metres, points)).astype(np.int64).T
         rows, columns = self.unlike.shape
@@ -70,7 +66,7 @@ class Standing:
 def standing(
     levels_a: Sequence[DenseLevel],
     levels_b: Sequence[DenseLevel],
-    view_a_from_view_b: NDArray[np.float64],
+    view_a_from_view_b: Float64Array,
     calibration: Calibration,
 ) -> Standing:
     """Mark the cells of view a where view b shows something else.
@@ -119,7 +115,7 @@ def standing(
     )
 
 
-def _in_company(unlike: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _in_company(unlike: BoolArray) -> BoolArray:
     """Leave out cells that no neighbour bears out: a thing is larger than one of them."""
     around = cv2.boxFilter(
         unlike.astype(np.uint8), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT
@@ -127,14 +123,14 @@ def _in_company(unlike: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(unlike & (np.asarray(around) > 1))
 
 
-def _resolved(calibration: Calibration, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _resolved(calibration: Calibration, points: Float64Array) -> Float64Array:
     """Return (N,): metres of floor that one pixel of the camera spans, in its longer direction."""
     return np.asarray(projection.floor_sampling(calibration, points).max(axis=1), np.float64)
 
 
 def _compare(
-    a: DenseLevel, b: DenseLevel, view_a_from_view_b: NDArray[np.float64]
-) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    a: DenseLevel, b: DenseLevel, view_a_from_view_b: Float64Array
+) -> tuple[BoolArray, Float32Array]:
     """Return which windows of a level tell something, and what share of it differs, at its best.
 
     The share is of the squares of what both show: 1 for windows that have nothing to do with each
@@ -174,10 +170,10 @@ def _compare(
     return np.asarray(whole & telling), least
 
 
-def _variance(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def _variance(values: Float32Array) -> Float32Array:
     return np.asarray(_mean(values * values) - _mean(values) ** 2)
 
 
-def _mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def _mean(values: Float32Array) -> Float32Array:
     window = (_WINDOW_PIXELS, _WINDOW_PIXELS)
     return np.asarray(cv2.blur(values, window, borderType=cv2.BORDER_CONSTANT), np.float32)

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
+from slamcli.core.records import DenseLevel
 from slamcli.stages.dense.correlation_search import autocorrelation
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import DenseLevel
 
 _LEAST_CORRELATION = 0.7
 _LEAST_OVERLAP = 0.3
@@ -22,7 +17,7 @@ _MOST_SHIFTS = 3
 _AROUND = np.ones((5, 5), np.uint8)
 
 
-def repeats(level: DenseLevel) -> NDArray[np.float64]:
+def repeats(level: DenseLevel) -> Float64Array:
     """Return (K, 2) shifts, metres in the robot's axes, by which a view looks like itself.
 
     The shortest, to a pixel of the level; one of each pair of opposite ones. None on a floor that
@@ -38,7 +33,5 @@ def repeats(level: DenseLevel) -> NDArray[np.float64]:
     found = np.argwhere(peaks)
     shortest = np.argsort(far[peaks], kind="stable")[:_MOST_SHIFTS]
     pixels = found[shortest] - (rows // 2, columns // 2)
-    shifts: NDArray[np.float64] = level.metres_per_pixel * np.column_stack(
-        [pixels[:, 1], -pixels[:, 0]]
-    )
+    shifts: Float64Array = level.metres_per_pixel * np.column_stack([pixels[:, 1], -pixels[:, 0]])
     return shifts

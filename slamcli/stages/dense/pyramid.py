@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from slamcli.core.geometry import apply_homography, invert
-from slamcli.core.records import DenseLevel
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Grid
-    from slamcli.core.records import View
+from slamcli.core.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
+from slamcli.core.geometry import Grid, apply_homography, invert
+from slamcli.core.records import DenseLevel, View
 
 # From half the view's resolution on, which already resolves hundredths of a pixel, down to where a
 # search over every rotation and translation costs some tens of milliseconds.
@@ -67,15 +60,15 @@ class Stencil:
         The weight, smoothed as the contrast is, and not less than a little.
     """
 
-    mask: NDArray[np.uint8]
-    seen: NDArray[np.float32]
-    share: NDArray[np.float32]
-    inside: NDArray[np.uint8]
-    weight: NDArray[np.float32]
-    near: NDArray[np.float32]
+    mask: UInt8Array
+    seen: Float32Array
+    share: Float32Array
+    inside: UInt8Array
+    weight: Float32Array
+    near: Float32Array
 
 
-def make_stencils(mask: NDArray[np.uint8]) -> tuple[Stencil, ...]:
+def make_stencils(mask: UInt8Array) -> tuple[Stencil, ...]:
     """Return the stencils of all levels of views that see floor where (h, w) `mask` is 255."""
     return stencils_from_half(_halved(mask))
 
@@ -97,7 +90,7 @@ def make_levels(view: View, stencils: Sequence[Stencil] | None = None) -> tuple[
 
 
 def levels_from_half(
-    image: NDArray[np.uint8], stencils: Sequence[Stencil], grid: Grid
+    image: UInt8Array, stencils: Sequence[Stencil], grid: Grid
 ) -> tuple[DenseLevel, ...]:
     """Return the pyramid of a view of which only its first level, at half resolution, is kept.
 
@@ -113,7 +106,7 @@ def levels_from_half(
 
 
 def _levels(
-    image: NDArray[np.uint8], stencils: Sequence[Stencil], grid: Grid, frame_noise_gray: float
+    image: UInt8Array, stencils: Sequence[Stencil], grid: Grid, frame_noise_gray: float
 ) -> tuple[DenseLevel, ...]:
     levels: list[DenseLevel] = []
     pixel_from_metres, metres_per_pixel = grid.pixel_from_metres, grid.metres_per_pixel
@@ -130,7 +123,7 @@ def _levels(
     return tuple(levels)
 
 
-def stencils_from_half(mask: NDArray[np.uint8]) -> tuple[Stencil, ...]:
+def stencils_from_half(mask: UInt8Array) -> tuple[Stencil, ...]:
     """Return the stencils of all levels, by the mask (h, w) of the first."""
     stencils = [_stencil(mask)]
     while len(stencils) < _MOST_LEVELS and (
@@ -141,7 +134,7 @@ def stencils_from_half(mask: NDArray[np.uint8]) -> tuple[Stencil, ...]:
     return tuple(stencils)
 
 
-def _stencil(mask: NDArray[np.uint8]) -> Stencil:
+def _stencil(mask: UInt8Array) -> Stencil:
     seen = (mask == 255).astype(np.float32)
     share = np.asarray(cv2.blur(seen, _HIGH_PASS_SIZE))
     # The outermost ring's gradient would be that of the mask, not of the floor.
@@ -161,14 +154,14 @@ def _stencil(mask: NDArray[np.uint8]) -> Stencil:
     )
 
 
-def _halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _halved(picture: UInt8Array) -> UInt8Array:
     return np.asarray(cv2.pyrDown(picture), np.uint8)
 
 
 def _level(
-    image: NDArray[np.uint8],
+    image: UInt8Array,
     stencil: Stencil,
-    pixel_from_metres: NDArray[np.float64],
+    pixel_from_metres: Float64Array,
     metres_per_pixel: float,
     frame_noise_gray: float,
     noise_gray: float | None,
@@ -202,9 +195,7 @@ def _level(
     )
 
 
-def _normalised(
-    detail: NDArray[np.float32], stencil: Stencil, noise_gray: float
-) -> NDArray[np.float32]:
+def _normalised(detail: Float32Array, stencil: Stencil, noise_gray: float) -> Float32Array:
     """Return the detail with its local contrast evened out; 0 outside."""
     values = detail * stencil.weight
     variance = cv2.GaussianBlur(values * values, (0, 0), _CONTRAST_PIXELS) / stencil.near
@@ -212,7 +203,7 @@ def _normalised(
     return np.asarray(values / np.sqrt(variance + floor), np.float32)
 
 
-def _noise(detail: NDArray[np.float32], inside: NDArray[np.uint8]) -> float:
+def _noise(detail: Float32Array, inside: UInt8Array) -> float:
     """Return about one standard deviation of the camera's noise in a level's detail.
 
     The median of what neither planes nor edges leave (Immerkaer, Computer Vision and Image
@@ -222,7 +213,7 @@ def _noise(detail: NDArray[np.float32], inside: NDArray[np.uint8]) -> float:
     return _NOISE_FACTOR * float(np.median(left)) if left.size else 0.0
 
 
-def _detail(image: NDArray[np.uint8], stencil: Stencil) -> NDArray[np.float32]:
+def _detail(image: UInt8Array, stencil: Stencil) -> Float32Array:
     """Take out a picture's slow brightness, which belongs to lamp and lens.
 
     Both multiply: the logarithm makes that a sum, of which the high-pass leaves nothing. Without
@@ -233,15 +224,13 @@ def _detail(image: NDArray[np.uint8], stencil: Stencil) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur((values - mean) * stencil.seen, (3, 3), 0), np.float32)
 
 
-def gain(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+def gain(image: UInt8Array) -> Float32Array:
     """Return by how much a level's detail raises each pixel's noise: more where it is dark."""
     middle = np.float32(128.0 + _DARK_GRAY)
     return np.asarray(middle / (image.astype(np.float32) + np.float32(_DARK_GRAY)))
 
 
-def slopes(
-    detail: NDArray[np.float32], metres_per_pixel: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def slopes(detail: Float32Array, metres_per_pixel: float) -> tuple[Float32Array, Float32Array]:
     """Return the slopes per metre along x (right) and y (up)."""
     # Scharr's kernel sums to 32 over a span of two pixels' worth of slope.
     scale = 1.0 / (32.0 * metres_per_pixel)
@@ -250,7 +239,7 @@ def slopes(
     return np.asarray(right, np.float32), np.asarray(up, np.float32)
 
 
-def _most_telling(strength: NDArray[np.float32]) -> NDArray[np.int64]:
+def _most_telling(strength: Float32Array) -> Int64Array:
     """Return flat indices of the strongest gradients, by a sample of their distribution."""
     flat = strength.ravel()
     weaker = 1.0 - _MOST_TEMPLATE_PIXELS / flat.size
@@ -258,9 +247,7 @@ def _most_telling(strength: NDArray[np.float32]) -> NDArray[np.int64]:
     return np.flatnonzero(flat > least)
 
 
-def sample(
-    image: NDArray[np.float32] | NDArray[np.uint8], pixels: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def sample(image: Float32Array | UInt8Array, pixels: Float64Array) -> Float64Array:
     """Interpolate (h, w) at (N, 2) pixels; 0 outside. Folded, as remap limits its maps' sides."""
     count = len(pixels)
     rows = -(-count // _REMAP_COLUMNS)

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import apply_homography
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Calibration
 
 # A robot that rocks by a radian bounces by so many times its camera's height.
 _HEIGHT_SHARE_PER_RADIAN = 3.0
 
 
-def mounting_sigmas(calibration: Calibration, tilt_sigma_radians: float) -> NDArray[np.float64]:
+def mounting_sigmas(calibration: Calibration, tilt_sigma_radians: float) -> Float64Array:
     """Return (3,) sigmas of a frame's pitch, roll and height; (0,) for a camera without them."""
     if not math.isfinite(calibration.height_metres) or tilt_sigma_radians <= 0.0:
         return np.zeros(0)
@@ -27,9 +23,7 @@ def mounting_sigmas(calibration: Calibration, tilt_sigma_radians: float) -> NDAr
     return np.array([tilt_sigma_radians, tilt_sigma_radians, height])
 
 
-def shown_from_floor(
-    calibration: Calibration, mounting: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def shown_from_floor(calibration: Calibration, mounting: Float64Array) -> Float64Array:
     """Return (3, 3): where a view made by the calibration shows the floor of a tilted frame."""
     if not np.any(mounting):
         return np.eye(3)
@@ -43,18 +37,14 @@ def shown_from_floor(
     return np.asarray(shown / shown[2, 2])
 
 
-def shown_from_floor_by_each(
-    calibration: Calibration, sigmas: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def shown_from_floor_by_each(calibration: Calibration, sigmas: Float64Array) -> Float64Array:
     """Return (K, 3, 3): `shown_from_floor` with one sigma of each in turn."""
     return np.array(
         [shown_from_floor(calibration, row) for row in np.diag(sigmas)], dtype=np.float64
     ).reshape(-1, 3, 3)
 
 
-def shifts(
-    shown_from_floor_by_each: NDArray[np.float64], points: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def shifts(shown_from_floor_by_each: Float64Array, points: Float64Array) -> Float64Array:
     """Return (K, 2, N): metres by which (N, 2) points are shown elsewhere, for one sigma of each.
 
     The points run along the last axis, as in `slopes`: numpy is slow along axes as short as two.
@@ -66,11 +56,11 @@ def shifts(
 
 
 def slopes(
-    gradients_a: NDArray[np.float64],
-    gradients_b: NDArray[np.float64],
-    shifts_a: NDArray[np.float64],
-    shifts_b: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    gradients_a: Float64Array,
+    gradients_b: Float64Array,
+    shifts_a: Float64Array,
+    shifts_b: Float64Array,
+) -> Float64Array:
     """Return (2 K, N): how residuals change with either frame's rocking, a's before b's.
 
     Parameters

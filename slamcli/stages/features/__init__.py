@@ -6,22 +6,17 @@ ORB: Rublee et al., ICCV 2011. SIFT: Lowe, IJCV 60, 2004. The low-pass with a th
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import Float32Array, UInt8Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import FeatureOptions
 from slamcli.core.geometry import apply_homography
-from slamcli.core.records import Features
+from slamcli.core.records import Features, Keypoints, View
 from slamcli.stages.features.detectors import METHODS
 from slamcli.stages.features.selection import CLEARANCE_STEP, Picture
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import FeatureOptions
-    from slamcli.core.records import Calibration, Keypoints, View
 
 __all__ = [
     "METHODS",
@@ -105,14 +100,14 @@ def prepare(view: View, options: FeatureOptions) -> Picture:
     return Picture(gray, allowed, clearance)
 
 
-def clean_image(image: NDArray[np.uint8], kernel_pixels: int, threshold: int) -> NDArray[np.uint8]:
+def clean_image(image: UInt8Array, kernel_pixels: int, threshold: int) -> UInt8Array:
     """Return a gray picture low-passed by a box, everything up to the threshold made black."""
     smooth = cv2.blur(image, (kernel_pixels, kernel_pixels))
     _, cleaned = cv2.threshold(smooth, threshold, 255, cv2.THRESH_TOZERO)
     return np.asarray(cleaned, dtype=np.uint8)
 
 
-def seen_clearance(mask: NDArray[np.uint8]) -> NDArray[np.float32]:
+def seen_clearance(mask: UInt8Array) -> Float32Array:
     """Return pixels to the nearest unseen one, at one value for `CLEARANCE_STEP` squared pixels.
 
     What lies outside the picture was not seen either. The coarse raster takes a tenth of the time,

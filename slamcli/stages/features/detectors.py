@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array
+from slamcli.core.config import FeatureMethod, FeatureOptions
 from slamcli.core.geometry import apply_homography
-from slamcli.core.records import Keypoints
+from slamcli.core.records import DescriptorNorm, Keypoints
 from slamcli.stages.features import subpixel
 from slamcli.stages.features.learned import detect_learned
-from slamcli.stages.features.selection import choose, pixel_from_level
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import FeatureMethod, FeatureOptions
-    from slamcli.core.records import DescriptorNorm
-    from slamcli.stages.features.selection import Picture
+from slamcli.stages.features.selection import Picture, choose, pixel_from_level
 
 # Spreading picks among this many times the points asked for: a painted line must not use them all
 # up. ORB finds them at little extra cost.
@@ -61,7 +55,7 @@ def _detect_orb(picture: Picture, options: FeatureOptions) -> Keypoints:
     return _unturned(_place_on_levels(corners, picture.gray, options), options)
 
 
-def _usable_levels(gray: NDArray[np.uint8], options: FeatureOptions) -> int:
+def _usable_levels(gray: UInt8Array, options: FeatureOptions) -> int:
     """Return how many levels are larger than the border that is left out of each.
 
     Smaller ones hold no point, and OpenCV fails when one has no pixel left.
@@ -94,9 +88,7 @@ def _orb_scale(options: FeatureOptions, octave: int) -> float:
     return float(options.scale_factor ** (octave - options.first_level))
 
 
-def _place_on_levels(
-    keypoints: Keypoints, gray: NDArray[np.uint8], options: FeatureOptions
-) -> Keypoints:
+def _place_on_levels(keypoints: Keypoints, gray: UInt8Array, options: FeatureOptions) -> Keypoints:
     """Mend where OpenCV puts ORB's points, and refine them if so asked.
 
     OpenCV multiplies a level's whole pixels by the level's scale. That leaves out that the centre
@@ -120,9 +112,7 @@ def _place_on_levels(
     return replace(keypoints, pixels=pixels, sigmas=sigmas)
 
 
-def _shrink(
-    source: NDArray[np.uint8], full_shape: tuple[int, ...], scale: float
-) -> NDArray[np.uint8]:
+def _shrink(source: UInt8Array, full_shape: tuple[int, ...], scale: float) -> UInt8Array:
     size = (round(full_shape[1] / scale), round(full_shape[0] / scale))
     if size == source.shape[::-1]:
         return source
@@ -160,7 +150,7 @@ def _detect_sift(picture: Picture, options: FeatureOptions) -> Keypoints:
     return _unturned(replace(keypoints, sigmas=_SIFT_SIGMA_PIXELS * keypoints.scales), options)
 
 
-def _sift_scales(points: Sequence[cv2.KeyPoint]) -> NDArray[np.float64]:
+def _sift_scales(points: Sequence[cv2.KeyPoint]) -> Float64Array:
     """Return how many pixels of the picture one pixel of each point's octave spans."""
     return np.array([2.0 ** _sift_octave(point) for point in points])
 
@@ -174,7 +164,7 @@ def _sift_octave(point: cv2.KeyPoint) -> int:
 def _choose(
     picture: Picture,
     found: Sequence[cv2.KeyPoint],
-    scales: NDArray[np.float64],
+    scales: Float64Array,
     options: FeatureOptions,
 ) -> list[int]:
     """Return which of OpenCV's points to keep."""
@@ -206,9 +196,9 @@ def _upright(points: Sequence[cv2.KeyPoint]) -> list[cv2.KeyPoint]:
 
 def _keypoints(
     points: Sequence[cv2.KeyPoint],
-    descriptors: NDArray[np.uint8] | NDArray[np.float32],
+    descriptors: UInt8Array | Float32Array,
     octaves: Sequence[int],
-    scales: Sequence[float] | NDArray[np.float64],
+    scales: Sequence[float] | Float64Array,
     norm: DescriptorNorm,
 ) -> Keypoints:
     return Keypoints(

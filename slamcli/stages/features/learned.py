@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import BoolArray, Float64Array, UInt8Array
+from slamcli.core.config import FeatureOptions
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import apply_homography
 from slamcli.core.records import Keypoints
-from slamcli.stages.features.selection import choose, pixel_from_level
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import FeatureOptions
-    from slamcli.stages.features.selection import Picture
+from slamcli.stages.features.selection import Picture, choose, pixel_from_level
 
 # Of the network's own picture: ALIKED places its points between the pixels, DISK upon them.
 _SIGMA_PIXELS = {"aliked": 0.25, "disk": 0.5}
@@ -58,9 +53,7 @@ def detect_learned(picture: Picture, options: FeatureOptions) -> Keypoints:
     )
 
 
-def _fitted(
-    gray: NDArray[np.uint8], size: tuple[int, int]
-) -> tuple[NDArray[np.uint8], tuple[int, int]]:
+def _fitted(gray: UInt8Array, size: tuple[int, int]) -> tuple[UInt8Array, tuple[int, int]]:
     """Return the picture at a network's size, and the (rows, columns) that it was padded to.
 
     Black is added at the right or below, as squeezing one side more than the other would change
@@ -77,7 +70,7 @@ def _fitted(
     return np.asarray(shown, np.uint8), (full_rows, full_columns)
 
 
-def _allowed(allowed: NDArray[np.uint8], pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _allowed(allowed: UInt8Array, pixels: Float64Array) -> BoolArray:
     """Return which (N, 2) places lie where a point may."""
     column, row = np.rint(pixels).astype(np.int64).T
     rows, columns = allowed.shape

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
+from slamcli.core.config import FeatureOptions
 from slamcli.core.geometry import Grid
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.config import FeatureOptions
 
 # Pixels to the side of one value of Picture.clearance.
 CLEARANCE_STEP = 4
@@ -35,18 +31,18 @@ class Picture:
         None without a region of interest.
     """
 
-    gray: NDArray[np.uint8]
-    allowed: NDArray[np.uint8]
-    clearance: NDArray[np.float32] | None
+    gray: UInt8Array
+    allowed: UInt8Array
+    clearance: Float32Array | None
 
 
 def choose(
     picture: Picture,
-    pixels: NDArray[np.float64],
-    responses: NDArray[np.float32],
-    scales: NDArray[np.float64] | float,
+    pixels: Float64Array,
+    responses: Float32Array,
+    scales: Float64Array | float,
     options: FeatureOptions,
-) -> NDArray[np.int64]:
+) -> Int64Array:
     """Return which points to keep: patches wholly on seen floor, strong, spread if so asked.
 
     Parameters
@@ -80,9 +76,7 @@ def choose(
     return keep
 
 
-def _spread_order(
-    pixels: NDArray[np.float64], responses: NDArray[np.float32], cell_pixels: float
-) -> NDArray[np.int64]:
+def _spread_order(pixels: Float64Array, responses: Float32Array, cell_pixels: float) -> Int64Array:
     """Order points so that any first few are spread: each cell's strongest, then its second ..."""
     column, row = np.floor(pixels / cell_pixels).astype(np.int64).T
     cell = row * (column.max() + 1) + column
@@ -95,9 +89,7 @@ def _spread_order(
     return np.lexsort((-responses, rank))
 
 
-def pixel_from_level(
-    full_shape: tuple[int, ...], level_shape: tuple[int, ...]
-) -> NDArray[np.float64]:
+def pixel_from_level(full_shape: tuple[int, ...], level_shape: tuple[int, ...]) -> Float64Array:
     """(3, 3): pixel of a pyramid level to pixel of the picture; their outer corners coincide."""
     fine = Grid(0.0, 0.0, 1.0, 1, 1)
     across, down = (

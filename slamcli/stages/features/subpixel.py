@@ -10,12 +10,10 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 
 # Chosen by the error of rigid fits on asphalt-like noise; 1.2 to 2.4 differ by little.
 _SIGMA_PIXELS = 2.0
@@ -25,9 +23,7 @@ _RESPONSE_RADIUS = _SEARCH_PIXELS + 1
 _PATCH_RADIUS = _RESPONSE_RADIUS + math.ceil(3 * _SIGMA_PIXELS)
 
 
-def refine(
-    image: NDArray[np.uint8], corners: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def refine(image: UInt8Array, corners: Int64Array) -> tuple[Float64Array, BoolArray]:
     """Move corners to the nearest peak of the Laplacian of Gaussian.
 
     Parameters
@@ -53,7 +49,7 @@ def refine(
     return refined, found
 
 
-def _laplacian(image: NDArray[np.uint8], corners: NDArray[np.int64]) -> NDArray[np.float32]:
+def _laplacian(image: UInt8Array, corners: Int64Array) -> Float32Array:
     """Return (N, r, r) responses around the corners, made positive at each corner itself."""
     windows = np.lib.stride_tricks.sliding_window_view(image, (2 * _PATCH_RADIUS + 1,) * 2)
     columns, rows = corners.T - _PATCH_RADIUS
@@ -66,12 +62,12 @@ def _laplacian(image: NDArray[np.uint8], corners: NDArray[np.int64]) -> NDArray[
     down = np.hstack([curved, smooth]) @ stacked
     response = np.ascontiguousarray(down.reshape(ring, -1, ring).transpose(1, 0, 2))
     centre = response[:, _RESPONSE_RADIUS, _RESPONSE_RADIUS]
-    signed: NDArray[np.float32] = response * np.sign(centre)[:, None, None]
+    signed: Float32Array = response * np.sign(centre)[:, None, None]
     return signed
 
 
 @lru_cache(maxsize=1)
-def _kernels() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _kernels() -> tuple[Float32Array, Float32Array]:
     """Return a Gaussian and its second derivative as (response, patch) band matrices."""
     response = np.arange(-_RESPONSE_RADIUS, _RESPONSE_RADIUS + 1)[:, None]
     distance = np.arange(-_PATCH_RADIUS, _PATCH_RADIUS + 1)[None, :] - response
@@ -84,7 +80,7 @@ def _kernels() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     return smooth.astype(np.float32), curved.astype(np.float32)
 
 
-def _peaks(response: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _peaks(response: Float32Array) -> tuple[Float64Array, BoolArray]:
     """Return the offset (N, 2) of each patch's highest inner response, by a parabola through 3x3.
 
     The second value tells where that really is a peak, less than a pixel from its centre.
@@ -94,7 +90,7 @@ def _peaks(response: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[
     row, column = best // side + 1, best % side + 1
     index = np.arange(count)
 
-    def at(down: int, right: int) -> NDArray[np.float64]:
+    def at(down: int, right: int) -> Float64Array:
         return np.asarray(response[index, row + down, column + right], dtype=np.float64)
 
     slope_x, slope_y = (at(0, 1) - at(0, -1)) / 2.0, (at(1, 0) - at(-1, 0)) / 2.0

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from slamcli.core.arrays import BoolArray, Float32Array, Int16Array, IntpArray, UInt8Array
+from slamcli.stages.mosaic.sampling import Sample
 from slamcli.stages.mosaic.tiles import CELL_PIXELS, MARGIN_CELLS, TILE_PIXELS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from slamcli.stages.mosaic.sampling import Sample
 
 # Brightness differs slowly: it is smoothed over twice so many cells and blended over as many.
 _SLOW_CELLS = 5
@@ -64,8 +61,8 @@ class Views:
     read : Reader
     """
 
-    cells: NDArray[np.uint8]
-    weights: NDArray[np.float32]
+    cells: UInt8Array
+    weights: Float32Array
     read: Reader
 
 
@@ -80,11 +77,11 @@ class Blended:
         Pixels of a picture to a metre of floor, of the view that counted most; 0: nothing seen.
     """
 
-    image: NDArray[np.uint8]
-    sharpness: NDArray[np.float32]
+    image: UInt8Array
+    sharpness: Float32Array
 
 
-def sharpest(weights: NDArray[np.float32]) -> NDArray[np.intp]:
+def sharpest(weights: Float32Array) -> IntpArray:
     """Return (h, w): the view that sees each cell best, without islands; -1 where none does."""
     smooth = np.stack([np.asarray(cv2.blur(one, (3, 3)), np.float32) for one in weights])
     smooth[weights <= 0] = 0.0
@@ -196,7 +193,7 @@ BLENDS: dict[str, Callable[[Views], Blended]] = {
 }
 
 
-def _slow_corrections(views: Views, label: NDArray[np.intp]) -> dict[int, NDArray[np.float32]]:
+def _slow_corrections(views: Views, label: IntpArray) -> dict[int, Float32Array]:
     """Return for each view that wins somewhere (h, w, 3): what blends its slow changes in.
 
     Slow is what a view differs by from the picture of all winners, smoothed where that is plain:
@@ -223,30 +220,30 @@ def _slow_corrections(views: Views, label: NDArray[np.intp]) -> dict[int, NDArra
     return {number: _worthwhile(target - slow[number]) for number in numbers}
 
 
-def _worthwhile(correction: NDArray[np.floating]) -> NDArray[np.float32]:
+def _worthwhile(correction: NDArray[np.floating]) -> Float32Array:
     """Shrink corrections by what no eye sees, and limit them."""
     size = np.abs(correction) - np.float32(_UNSEEN_GRAY)
     limited = np.clip(size, 0.0, _MOST_CORRECTION_GRAY)
     return np.asarray(np.copysign(limited, correction), np.float32)
 
 
-def _smooth(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def _smooth(values: Float32Array) -> Float32Array:
     """Blur by a box twice, nothing beyond the border."""
     box = (_SLOW_CELLS, _SLOW_CELLS)
     once = cv2.blur(values, box, borderType=cv2.BORDER_CONSTANT)
     return np.asarray(cv2.blur(once, box, borderType=cv2.BORDER_CONSTANT), np.float32)
 
 
-def _takeover(own: NDArray[np.float32], window: Window) -> NDArray[np.float32]:
+def _takeover(own: Float32Array, window: Window) -> Float32Array:
     """Return how much of each pixel a view claims: all of its own cells, and a trace around."""
     ramp = _enlarged(own, window)
     steep = np.clip((ramp - 0.5) * np.float32(_STEEPNESS) + 0.5, 0.0, 1.0)
     spare = _enlarged(_dilated(own, _SPARE_CELLS), window)
-    claim: NDArray[np.float32] = np.maximum(steep, spare * _SPARE_SHARE)
+    claim: Float32Array = np.maximum(steep, spare * _SPARE_SHARE)
     return claim.astype(np.float32)
 
 
-def _mean(views: Views, measure: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> Blended:
+def _mean(views: Views, measure: Callable[[Float32Array], Float32Array]) -> Blended:
     total = np.zeros((TILE_PIXELS, TILE_PIXELS, 3), np.float32)
     share = np.zeros((TILE_PIXELS, TILE_PIXELS), np.float32)
     sharpness = np.zeros_like(share)
@@ -260,7 +257,7 @@ def _mean(views: Views, measure: Callable[[NDArray[np.float32]], NDArray[np.floa
     return Blended(_divided(total, share), sharpness)
 
 
-def _read_all(views: Views) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
+def _read_all(views: Views) -> tuple[Int16Array, Float32Array]:
     found = list(_reads(views))
     images = np.zeros((max(1, len(found)), TILE_PIXELS, TILE_PIXELS, 3), np.int16)
     sharpness = np.zeros(images.shape[:3], np.float32)
@@ -281,7 +278,7 @@ def _reads(views: Views) -> list[tuple[int, Window, Sample]]:
     return found
 
 
-def _cleared(views: Views, number: int, window: Window, read: Sample) -> NDArray[np.float32]:
+def _cleared(views: Views, number: int, window: Window, read: Sample) -> Float32Array:
     """Return a view's weight, 0 in the cells where it does not show the floor.
 
     The cells at the rim of what it sees have their centres outside, and keep it.
@@ -292,12 +289,12 @@ def _cleared(views: Views, number: int, window: Window, read: Sample) -> NDArray
     return np.where(hidden, np.float32(0.0), read.weight)
 
 
-def _dilated(cells: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
+def _dilated(cells: Float32Array, reach: int) -> Float32Array:
     side = 2 * reach + 1
     return np.asarray(cv2.dilate(cells, np.ones((side, side), np.uint8)), np.float32)
 
 
-def _window(cells: NDArray[np.bool_]) -> Window | None:
+def _window(cells: BoolArray) -> Window | None:
     """Return the smallest window of the tile proper around some cells; None when none is in it."""
     inner = cells[MARGIN_CELLS:-MARGIN_CELLS, MARGIN_CELLS:-MARGIN_CELLS]
     rows, columns = np.flatnonzero(inner.any(axis=1)), np.flatnonzero(inner.any(axis=0))
@@ -325,7 +322,7 @@ def _inside(window: Window) -> tuple[slice, slice]:
     return slice(row, row + window.height), slice(column, column + window.width)
 
 
-def _enlarged(cells: NDArray[np.float32], window: Window) -> NDArray[np.float32]:
+def _enlarged(cells: Float32Array, window: Window) -> Float32Array:
     """Return a window of cells at the resolution of pixels."""
     rows, columns = _inside(window)
     # One cell more on each side, so that windows meet as if they had been enlarged in one.
@@ -335,24 +332,24 @@ def _enlarged(cells: NDArray[np.float32], window: Window) -> NDArray[np.float32]
     return large[CELL_PIXELS:-CELL_PIXELS, CELL_PIXELS:-CELL_PIXELS]
 
 
-def _divided(total: NDArray[np.float32], share: NDArray[np.float32]) -> NDArray[np.uint8]:
+def _divided(total: Float32Array, share: Float32Array) -> UInt8Array:
     divisor = np.maximum(share, np.float32(1e-9))
     return np.asarray(cv2.divide(total, _tripled(divisor), dtype=cv2.CV_8U), np.uint8)
 
 
-def _tripled(plane: NDArray[np.float32]) -> NDArray[np.float32]:
+def _tripled(plane: Float32Array) -> Float32Array:
     """Return (h, w, 3): numpy spreads over so short an axis slowly."""
     return np.asarray(cv2.merge([plane] * 3), np.float32)
 
 
-def _pyramid(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+def _pyramid(image: Float32Array) -> list[Float32Array]:
     levels = [image]
     for _ in range(_LEVELS):
         levels.append(np.asarray(cv2.pyrDown(levels[-1]), np.float32))
     return levels
 
 
-def _details(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+def _details(image: Float32Array) -> list[Float32Array]:
     """Return the Laplacian pyramid: what each level has over the next, and the last."""
     levels = _pyramid(image)
     finer = [
@@ -362,7 +359,7 @@ def _details(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
     return [*finer, levels[-1]]
 
 
-def _collapsed(bands: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+def _collapsed(bands: list[Float32Array]) -> Float32Array:
     image = bands[-1]
     for band in reversed(bands[:-1]):
         image = band + np.asarray(cv2.pyrUp(image, dstsize=band.shape[1::-1]), np.float32)

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
+from slamcli.core.arrays import Float32Array, Float64Array, Int32Array, Int64Array, UInt8Array
 from slamcli.core.camera import projection
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import Calibration
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.geometry import Pose2
 
 # Floor is compared at this many places along the usable range.
 _PLACES_ALONG_RANGE = 24
@@ -59,10 +54,10 @@ class Shared:
         1 where the floor is plain, less the more contrast there is.
     """
 
-    places: NDArray[np.int32]
-    logarithm: NDArray[np.float64]
-    radius_squared: NDArray[np.float32]
-    weight: NDArray[np.float32]
+    places: Int32Array
+    logarithm: Float64Array
+    radius_squared: Float32Array
+    weight: Float32Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +72,7 @@ class Exposure:
         a, b: the logarithm of the brightness falls by a r^2 + b r^4, r = 1 in the corners.
     """
 
-    gains: NDArray[np.float64]
+    gains: Float64Array
     vignetting: tuple[float, float] = (0.0, 0.0)
 
 
@@ -92,7 +87,7 @@ def comparison_step(calibration: Calibration) -> float:
     return calibration.max_range_metres / _PLACES_ALONG_RANGE
 
 
-def reduced(gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def reduced(gray: UInt8Array) -> UInt8Array:
     """Return a picture (H, W) as small as its brightness can be read from: a quarter each way."""
     height, width = gray.shape
     small = cv2.resize(gray, (-(-width // 4), -(-height // 4)), interpolation=cv2.INTER_AREA)
@@ -100,9 +95,9 @@ def reduced(gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def observe(
-    gray: NDArray[np.uint8],
+    gray: UInt8Array,
     calibration: Calibration,
-    hull: NDArray[np.float64],
+    hull: Float64Array,
     map_from_robot: Pose2,
     step_metres: float,
 ) -> Shared:
@@ -207,12 +202,12 @@ def solve(observations: Sequence[Shared]) -> Exposure:
     return Exposure(gains, (0.0, 0.0) if nothing else (a, b))
 
 
-def _keys(places: NDArray[np.int32]) -> NDArray[np.int64]:
+def _keys(places: Int32Array) -> Int64Array:
     """Return (M,) one number for each place."""
     return np.asarray((places[:, 0].astype(np.int64) << 32) + places[:, 1])
 
 
-def _some_of_each(kind: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+def _some_of_each(kind: Int64Array, most: int) -> Int64Array:
     """Return the numbers, in order, of at most so many of each kind, drawn at random."""
     drawn = np.random.default_rng(0).permutation(len(kind))
     order = np.lexsort((drawn, kind))
@@ -222,9 +217,7 @@ def _some_of_each(kind: NDArray[np.int64], most: int) -> NDArray[np.int64]:
     return np.sort(order[rank < most])
 
 
-def correct(
-    image: NDArray[np.uint8], gain: float, brightening: NDArray[np.float32] | None
-) -> NDArray[np.uint8]:
+def correct(image: UInt8Array, gain: float, brightening: Float32Array | None) -> UInt8Array:
     """Return a picture (h, w, 3) as a lens without vignetting and the common exposure show it.
 
     Parameters
@@ -247,7 +240,7 @@ def correct(
 
 def brightening_image(
     image_size: tuple[int, int], vignetting: tuple[float, float], step: int = 1
-) -> NDArray[np.float32] | None:
+) -> Float32Array | None:
     """Return (h, w): what undoes the vignetting, of every so manyth pixel; None when there is none.
 
     The last row and column lie on the picture's border or beyond it.
@@ -264,10 +257,10 @@ def brightening_image(
 def _solve_weighted(
     design: sparse.csr_array,
     floor: sparse.csr_array,
-    logarithm: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    prior: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    logarithm: Float64Array,
+    weight: Float64Array,
+    prior: Float64Array,
+) -> Float64Array:
     """Return what minimises sum w (log I + design x - floor(place))^2 + prior x^2 over both."""
     weighted = design.multiply(weight[:, None]).tocsr()
     crossed = (weighted.T @ floor).tocsr()

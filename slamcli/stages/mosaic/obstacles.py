@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from slamcli.core.arrays import BoolArray, UInt8Array
 
 # The alpha of what stands for good in a tile's `standing`; what passed has less.
 STANDS_ALPHA, PASSED_ALPHA = 255, 150
@@ -17,7 +14,7 @@ _WIDEST_LINE_METRES = 0.08
 _LEAST_LINE_CONTRAST_GRAY = 40.0
 
 
-def standing_cells(standing: NDArray[np.uint8], factor: int) -> NDArray[np.bool_]:
+def standing_cells(standing: UInt8Array, factor: int) -> BoolArray:
     """Return (h / factor, w / factor): whether anything stands in each cell.
 
     Parameters
@@ -28,9 +25,7 @@ def standing_cells(standing: NDArray[np.uint8], factor: int) -> NDArray[np.bool_
     return _any(standing[..., 3] >= STANDS_ALPHA, factor)
 
 
-def line_cells(
-    image: NDArray[np.uint8], mask: NDArray[np.uint8], metres_per_pixel: float
-) -> NDArray[np.bool_]:
+def line_cells(image: UInt8Array, mask: UInt8Array, metres_per_pixel: float) -> BoolArray:
     """Return (h, w): where a picture shows a painted line, brighter than the floor beside it.
 
     By the white top-hat (Serra, Image Analysis and Mathematical Morphology, 1982) over the widest
@@ -49,7 +44,7 @@ def line_cells(
     return np.greater(above, max(float(threshold), _LEAST_LINE_CONTRAST_GRAY))
 
 
-def _any(pixels: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
+def _any(pixels: BoolArray, factor: int) -> BoolArray:
     height, width = pixels.shape[0] // factor, pixels.shape[1] // factor
     blocks = pixels[: height * factor, : width * factor].reshape(height, factor, width, factor)
     return np.asarray(blocks.any(axis=(1, 3)), np.bool_)

@@ -7,27 +7,21 @@ is then read at full resolution, once, straight from the camera's picture.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from slamcli.core.arrays import BoolArray, Int32Array, UInt8Array, UInt16Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import PaintOptions
-from slamcli.core.geometry import Grid
-from slamcli.core.records import Tile
+from slamcli.core.geometry import Grid, Pose2
+from slamcli.core.records import Frame, Shot, Tile
 from slamcli.stages.mosaic import blend, obstacles, sampling, tiles, view_consistency
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import Calibration, Frame, Shot
-    from slamcli.stages.mosaic.blend import Views, Window
-    from slamcli.stages.mosaic.exposure import Exposure
-    from slamcli.stages.mosaic.sampling import Picture, Sample
-    from slamcli.stages.mosaic.tiles import TileKey
+from slamcli.stages.mosaic.blend import Views, Window
+from slamcli.stages.mosaic.exposure import Exposure
+from slamcli.stages.mosaic.sampling import Picture, Sample
+from slamcli.stages.mosaic.tiles import TileKey
 
 # More views of one spot than this tell nothing new; the best of them are kept.
 _MOST_VIEWS = 20
@@ -228,9 +222,7 @@ class Painter:
         return [numbers[int(place)] for place in kept]
 
 
-def _history(
-    shows_floor: NDArray[np.bool_], indices: Sequence[int]
-) -> tuple[NDArray[np.uint16], NDArray[np.int32]]:
+def _history(shows_floor: BoolArray, indices: Sequence[int]) -> tuple[UInt16Array, Int32Array]:
     """Return how many views see each pixel of a tile, and the latest frame that does."""
     margin, side = tiles.MARGIN_CELLS, tiles.CELL_PIXELS
     inner = shows_floor[:, margin:-margin, margin:-margin]
@@ -243,7 +235,7 @@ def _history(
     )
 
 
-def _standing(views: Views, shows_floor: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
+def _standing(views: Views, shows_floor: BoolArray) -> UInt8Array | None:
     """Return (h, w, 4) BGRA of what is not floor, from the view that sees it best; or None."""
     other = np.where(shows_floor, np.float32(0.0), views.weights)
     margin = tiles.MARGIN_CELLS

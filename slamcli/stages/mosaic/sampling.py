@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from slamcli.core.camera import projection
-from slamcli.core.geometry import Grid, apply_homography
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.stages.mosaic import exposure
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Pose2
-    from slamcli.core.records import Calibration
 
 Value = TypeVar("Value", np.uint8, np.float32)
 
@@ -53,11 +50,11 @@ class Picture:
         From `brightening`.
     """
 
-    levels: tuple[NDArray[np.uint8], ...]
+    levels: tuple[UInt8Array, ...]
     halvings: int
-    usable: NDArray[np.uint8]
+    usable: UInt8Array
     gain: float
-    brightening: NDArray[np.float32] | None
+    brightening: Float32Array | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,12 +71,12 @@ class Sample:
         The same without the fading; of use only where the weight is not 0.
     """
 
-    image: NDArray[np.uint8]
-    weight: NDArray[np.float32]
-    sharpness: NDArray[np.float32]
+    image: UInt8Array
+    weight: Float32Array
+    sharpness: Float32Array
 
 
-def border_fade(sharpness: NDArray[np.float32]) -> NDArray[np.uint8]:
+def border_fade(sharpness: Float32Array) -> UInt8Array:
     """Return (H, W): 255 well inside the usable part of a picture, 0 outside, fading between.
 
     Parameters
@@ -95,18 +92,18 @@ def border_fade(sharpness: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 def brightening(
     image_size: tuple[int, int], vignetting: tuple[float, float]
-) -> NDArray[np.float32] | None:
+) -> Float32Array | None:
     """Return what undoes a lens's vignetting, as a `Picture` keeps it; None for an even lens."""
     return exposure.brightening_image(image_size, vignetting, 2**_BRIGHTENING_LEVEL)
 
 
 def make_picture(
-    image: NDArray[np.uint8],
-    usable: NDArray[np.uint8],
-    mask: NDArray[np.uint8] | None,
+    image: UInt8Array,
+    usable: UInt8Array,
+    mask: UInt8Array | None,
     depth: int,
     gain: float = 1.0,
-    brightening: NDArray[np.float32] | None = None,
+    brightening: Float32Array | None = None,
     *,
     halvings: int = 0,
 ) -> Picture:
@@ -138,7 +135,7 @@ def make_picture(
     return Picture(tuple(levels), halvings, usable, gain, brightening)
 
 
-def _halved(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _halved(image: UInt8Array) -> UInt8Array:
     """Return the means of two by two pixels; an odd last row or column is left out.
 
     A kernel with less aliasing, as `cv2.pyrDown` has, leaves less of the floor's texture.
@@ -222,7 +219,7 @@ def sample(
 
 def weigh(
     picture: Picture, calibration: Calibration, map_from_robot: Pose2, grid: Grid
-) -> NDArray[np.float32]:
+) -> Float32Array:
     """Return the weight alone of what `sample` would read."""
     return _look(picture, calibration, map_from_robot, grid).weight
 
@@ -241,10 +238,10 @@ class _Look:
         Pixels a metre, and that with all that is not usable at 0.
     """
 
-    image_from_pixel: NDArray[np.float64]
-    lens: tuple[NDArray[np.float32], NDArray[np.float32]] | None
-    sharpness: NDArray[np.float32]
-    weight: NDArray[np.float32]
+    image_from_pixel: Float64Array
+    lens: tuple[Float32Array, Float32Array] | None
+    sharpness: Float32Array
+    weight: Float32Array
 
 
 def _look(picture: Picture, calibration: Calibration, map_from_robot: Pose2, grid: Grid) -> _Look:
@@ -271,8 +268,8 @@ def _look(picture: Picture, calibration: Calibration, map_from_robot: Pose2, gri
 
 
 def _out_of_range(
-    calibration: Calibration, robot_from_pixel: NDArray[np.float64], grid: Grid
-) -> NDArray[np.bool_]:
+    calibration: Calibration, robot_from_pixel: Float64Array, grid: Grid
+) -> BoolArray:
     """Return (h, w): whether a pixel lies beyond the range.
 
     The squared distance of R p + t is |p|^2 s^2 + 2 t . R p + |t|^2: a sum of row and column.
@@ -287,8 +284,8 @@ def _out_of_range(
 
 
 def _sharpness(
-    calibration: Calibration, robot_from_pixel: NDArray[np.float64], grid: Grid
-) -> NDArray[np.float32]:
+    calibration: Calibration, robot_from_pixel: Float64Array, grid: Grid
+) -> Float32Array:
     """Return (h, w) pixels a metre; of no use behind the camera, which no picture shows.
 
     A plane homography H enlarges areas by det H / w^3, and w is linear over the floor.
@@ -303,8 +300,8 @@ def _sharpness(
 
 
 def _lit(
-    read: NDArray[np.uint8], picture: Picture, look: _Look, rows: slice, columns: slice
-) -> NDArray[np.uint8]:
+    read: UInt8Array, picture: Picture, look: _Look, rows: slice, columns: slice
+) -> UInt8Array:
     """Return part of a raster, as it was read, as bright as the other frames and evenly so."""
     factor = None
     if picture.brightening is not None:
@@ -350,8 +347,8 @@ def _read(
 
 
 def _lens_map(
-    calibration: Calibration, homography: NDArray[np.float64], grid: Grid
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    calibration: Calibration, homography: Float64Array, grid: Grid
+) -> tuple[Float32Array, Float32Array]:
     """Return where each pixel of a raster lies in the camera's own, distorted picture.
 
     Exact on a lattice, interpolated between its points.

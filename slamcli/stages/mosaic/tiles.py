@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.geometry import Grid
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
 
 TILE_PIXELS = 512
 # What is decided about a view (does it show floor, does it win) is decided for a cell at a time.
@@ -54,7 +50,7 @@ def cell_grid(key: TileKey, metres_per_pixel: float) -> Grid:
     )
 
 
-def tiles_under(outline: NDArray[np.float64], metres_per_pixel: float) -> list[TileKey]:
+def tiles_under(outline: Float64Array, metres_per_pixel: float) -> list[TileKey]:
     """Return the keys of the tiles that a convex outline, (N, 2) metres in the map, may touch.
 
     By the separating axes of the outline's own edges: a tile wholly outside of one is not touched.

@@ -6,13 +6,20 @@ is there for some views only. Either way it disagrees with the floor that other 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from slamcli.core.arrays import (
+    BoolArray,
+    Float32Array,
+    Float64Array,
+    Int16Array,
+    IntpArray,
+    UInt8Array,
+)
 
 Channel = TypeVar("Channel", np.uint8, np.int16)
 
@@ -30,9 +37,7 @@ _OUTLINE_GRAY, _OUTLINE_TIMES = 8.0, 1.5
 _LEAST_OUTLINE_CELLS = 6
 
 
-def reference(
-    cells: NDArray[np.uint8], weights: NDArray[np.float32]
-) -> tuple[NDArray[np.uint8], NDArray[np.intp]]:
+def reference(cells: UInt8Array, weights: Float32Array) -> tuple[UInt8Array, IntpArray]:
     """Return what most of the weight shows of every cell, and which view shows it.
 
     The weighted medoid under a truncated distance: the view that is nearest to all others, those
@@ -62,9 +67,7 @@ def reference(
     return picked, chosen
 
 
-def agreeing(
-    cells: NDArray[np.uint8], weights: NDArray[np.float32], reach_cells: int = 1
-) -> NDArray[np.bool_]:
+def agreeing(cells: UInt8Array, weights: Float32Array, reach_cells: int = 1) -> BoolArray:
     """Return (N, h, w): whether a view shows, in a cell that it sees, the floor.
 
     A value between the lowest and the highest of the reference around a cell agrees with it: so
@@ -90,9 +93,7 @@ def agreeing(
     return agrees
 
 
-def _doubtful(
-    cells: NDArray[np.uint8], seen: NDArray[np.bool_], margin: int
-) -> tuple[slice, slice] | None:
+def _doubtful(cells: UInt8Array, seen: BoolArray, margin: int) -> tuple[slice, slice] | None:
     """Return the window around all cells that views show too differently."""
     count = seen.sum(axis=0)
     high = np.where(seen[..., None], cells, np.uint8(0)).max(axis=0)
@@ -108,9 +109,7 @@ def _doubtful(
     )
 
 
-def _agreeing(
-    cells: NDArray[np.uint8], weights: NDArray[np.float32], reach_cells: int
-) -> NDArray[np.bool_]:
+def _agreeing(cells: UInt8Array, weights: Float32Array, reach_cells: int) -> BoolArray:
     seen = weights > 0
     count = seen.sum(axis=0)
     shown, _ = reference(cells, weights)
@@ -140,7 +139,7 @@ def _agreeing(
             votes += np.where(view, vote, -vote)
     differs ^= seen & open_cells & (votes < 0)
     differs &= ~(open_cells & (votes == 0) & (count < _LEAST_VIEWS))
-    agrees: NDArray[np.bool_] = seen & ~differs
+    agrees: BoolArray = seen & ~differs
     orphaned = (count > 0) & ~agrees.any(axis=0)
     if orphaned.any():
         nearest = np.argmin(np.where(seen, beyond, np.int16(1000)), axis=0)
@@ -150,11 +149,11 @@ def _agreeing(
 
 
 def _beyond(
-    cells: NDArray[np.uint8],
-    shown: NDArray[np.uint8],
-    blank: NDArray[np.bool_],
+    cells: UInt8Array,
+    shown: UInt8Array,
+    blank: BoolArray,
     reach_cells: int,
-) -> NDArray[np.int16]:
+) -> Int16Array:
     """Return (..., h, w): by how many gray levels views leave what a picture shows about a cell.
 
     Parameters
@@ -175,9 +174,7 @@ def _beyond(
     return np.asarray(_largest(np.maximum(low - values, values - high)) - slack, np.int16)
 
 
-def _vote(
-    undecided: NDArray[np.bool_], for_floor: NDArray[np.bool_], against: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def _vote(undecided: BoolArray, for_floor: BoolArray, against: BoolArray) -> Float64Array:
     """Return 1 where an undecided part of one view is none of the floor, -1 where it is, else 0.
 
     By whether the connected part borders more on cells where the view was found to show the floor,
@@ -193,12 +190,12 @@ def _vote(
 
 
 def _settle_by_outline(
-    cells: NDArray[np.uint8],
-    seen: NDArray[np.bool_],
-    differs: NDArray[np.bool_],
-    open_cells: NDArray[np.bool_],
-    agreed: NDArray[np.bool_],
-) -> NDArray[np.bool_]:
+    cells: UInt8Array,
+    seen: BoolArray,
+    differs: BoolArray,
+    open_cells: BoolArray,
+    agreed: BoolArray,
+) -> BoolArray:
     """Decide, in the caller's own array, where views stand against others; return where it did.
 
     A connected part at a time: what goes on from the floor around it, over which no views differ,
@@ -232,10 +229,10 @@ def _settle_by_outline(
 
 
 def _off_surroundings(
-    view: NDArray[np.uint8],
-    sees: NDArray[np.bool_],
-    part: NDArray[np.bool_],
-    agreed: NDArray[np.bool_],
+    view: UInt8Array,
+    sees: BoolArray,
+    part: BoolArray,
+    agreed: BoolArray,
 ) -> float:
     """Return by how many gray levels a view's part leaves what it shows beside it.
 
@@ -259,11 +256,11 @@ def _largest(channels: NDArray[Channel]) -> NDArray[Channel]:
 
 
 def _grown(
-    leaves: NDArray[np.bool_],
-    other: NDArray[np.bool_],
-    seen: NDArray[np.bool_],
+    leaves: BoolArray,
+    other: BoolArray,
+    seen: BoolArray,
     reach_cells: int,
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Drop what is at most two cells wide, which are edges that poses displace; grow the rest.
 
     A thing's outline is mixed with floor, and as far inside of it as edges may be displaced the
@@ -280,5 +277,5 @@ def _grown(
     wide = cv2.morphologyEx((leaves | ~seen).astype(np.uint8), cv2.MORPH_OPEN, around)
     solid = np.where(leaves, np.asarray(wide), np.uint8(0))
     outline = np.asarray(cv2.dilate(solid, around, iterations=reach_cells + 1)) > 0
-    grown: NDArray[np.bool_] = (np.asarray(cv2.dilate(solid, around)) > 0) | (outline & other)
+    grown: BoolArray = (np.asarray(cv2.dilate(solid, around)) > 0) | (outline & other)
     return grown & seen

@@ -10,32 +10,27 @@ Perception, 2017) where it is installed, all else by scipy.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from types import ModuleType
+from typing import Literal
 
 import numpy as np
 
+from slamcli.core.arrays import BoolArray, Float64Array, Int64Array
 from slamcli.core.geometry import Pose2, pose_array
+from slamcli.core.records import Link
 from slamcli.stages.posegraph import gtsam_solver, sparse_solver
 from slamcli.stages.posegraph.build import build, first_state
 from slamcli.stages.posegraph.components import Sets, components, spanning
 from slamcli.stages.posegraph.factors import Heading, Place, SenseOffsets, Solution
 from slamcli.stages.posegraph.marginals import diagonal_blocks
+from slamcli.stages.posegraph.problem import Problem
+from slamcli.stages.posegraph.state import State
 from slamcli.stages.posegraph.variance import variance_factor
 
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-    from types import ModuleType
-    from typing import Literal
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Link
-    from slamcli.stages.posegraph.problem import Problem
-    from slamcli.stages.posegraph.state import State
-
-    Solver = Literal["gtsam", "scipy"]
+Solver = Literal["gtsam", "scipy"]
 
 __all__ = [
     "Heading",
@@ -114,8 +109,8 @@ def solve(
 
 
 def _agreed(
-    problem: Problem, state: State, trusted: NDArray[np.bool_], solver: ModuleType
-) -> tuple[State, NDArray[np.bool_]]:
+    problem: Problem, state: State, trusted: BoolArray, solver: ModuleType
+) -> tuple[State, BoolArray]:
     """Return the solution of all factors that the others do not contradict, and which these are."""
     everything = np.ones(len(problem))
     whole = solver.optimise(problem, state, everything)
@@ -141,7 +136,7 @@ def _agreed(
 
 def _nearly_agreed(
     problem: Problem, state: State, solver: ModuleType
-) -> tuple[State, NDArray[np.bool_]] | None:
+) -> tuple[State, BoolArray] | None:
     """Return the solution where all links and most readings agree from the start, else None.
 
     Then what is not believed can be told by its error alone, round by round, in a fraction of the
@@ -160,8 +155,8 @@ def _nearly_agreed(
 
 
 def _settled(
-    problem: Problem, state: State, kept: NDArray[np.bool_], solver: ModuleType
-) -> tuple[State, NDArray[np.bool_]]:
+    problem: Problem, state: State, kept: BoolArray, solver: ModuleType
+) -> tuple[State, BoolArray]:
     """Solve what was kept; then keep also what agrees with that, and what alone ties two parts."""
     motions = len(problem.motions)
     for last in (False, True):
@@ -177,7 +172,7 @@ def _settled(
     return state, kept
 
 
-def _spanning(problem: Problem, count: int, order: NDArray[np.int64]) -> tuple[Sets, list[int]]:
+def _spanning(problem: Problem, count: int, order: Int64Array) -> tuple[Sets, list[int]]:
     """Return what motions tie together, and the first ones in an order that do (Kruskal, 1956).
 
     What is held needs no motion between it.
@@ -194,7 +189,7 @@ def _spanning(problem: Problem, count: int, order: NDArray[np.int64]) -> tuple[S
     return sets, [motion for motion, a, b in ends if sets.merge(a, b)]
 
 
-def _factor(problem: Problem, state: State, seen: NDArray[np.int64], loops: int) -> float:
+def _factor(problem: Problem, state: State, seen: Int64Array, loops: int) -> float:
     """Return the variance factor of links (by their numbers) that pictures tell of."""
     _, tree = _spanning(problem, len(state.poses), seen)
     errors = problem.squared_errors(state)[seen]
@@ -204,9 +199,9 @@ def _factor(problem: Problem, state: State, seen: NDArray[np.int64], loops: int)
 def _solution(
     problem: Problem,
     state: State,
-    kept: NDArray[np.bool_],
+    kept: BoolArray,
     frames: Sequence[int],
-    weights: NDArray[np.float64],
+    weights: Float64Array,
     factor: float,
 ) -> Solution:
     """Return the solution, its covariances by factors of such weights."""
@@ -257,8 +252,8 @@ def fuse(first: Link, second: Link) -> Link:
 
 
 def compose_covariance(
-    covariance_a: NDArray[np.float64], a_from_b: Pose2, covariance: NDArray[np.float64]
-) -> NDArray[np.float64]:
+    covariance_a: Float64Array, a_from_b: Pose2, covariance: Float64Array
+) -> Float64Array:
     """Return the covariance of ``map_from_b`` from that of ``map_from_a`` and of ``a_from_b``.
 
     Each in the axes of its right-hand frame; the first is carried over by the adjoint of
@@ -267,5 +262,5 @@ def compose_covariance(
     inverse = a_from_b.inverse()
     adjoint = inverse.matrix
     adjoint[0, 2], adjoint[1, 2] = inverse.y, -inverse.x
-    carried: NDArray[np.float64] = adjoint @ covariance_a @ adjoint.T + covariance
+    carried: Float64Array = adjoint @ covariance_a @ adjoint.T + covariance
     return carried

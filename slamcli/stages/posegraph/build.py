@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.core.geometry import Pose2, compose_poses, pose_array
+from slamcli.core.records import Link
+from slamcli.stages.posegraph.factors import Heading, Place, SenseOffsets
 from slamcli.stages.posegraph.measurements import Headings, Motions, Places
 from slamcli.stages.posegraph.problem import Problem
 from slamcli.stages.posegraph.state import ANCHOR_SIGMA, LOOSE_SIGMA, SensePrior, State
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.records import Link
-    from slamcli.stages.posegraph.factors import Heading, Place, SenseOffsets
 
 _REWEIGHTINGS = 30
 # Metres within which a place counts in full as the first guess is made.
@@ -77,7 +72,7 @@ def build(
     )
 
 
-def first_state(problem: Problem, poses: NDArray[np.float64]) -> State:
+def first_state(problem: Problem, poses: Float64Array) -> State:
     """Return first poses with the compass's offset and the datum that most readings agree on."""
     senses = problem.prior.senses.copy()
     if problem.prior.told:
@@ -111,23 +106,23 @@ def _told(offsets: SenseOffsets) -> SensePrior:
     )
 
 
-def _numbers(values: list[int]) -> NDArray[np.int64]:
+def _numbers(values: list[int]) -> Int64Array:
     return np.array(values, dtype=np.int64)
 
 
-def _whitenings(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+def _whitenings(covariances: Float64Array) -> Float64Array:
     """Return (M, 3, 3) factors that turn errors of such covariances to ones of unit covariance."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariances)), dtype=np.float64)
 
 
-def _middle_angle(angles: NDArray[np.float64]) -> float:
+def _middle_angle(angles: Float64Array) -> float:
     """Return the median of angles, cut open opposite to their mean."""
     mean = float(np.angle(np.mean(np.exp(1j * angles))))
     around = (angles - mean + np.pi) % (2.0 * np.pi) - np.pi
     return mean + float(np.median(around))
 
 
-def _align(points: NDArray[np.float64], targets: NDArray[np.float64]) -> NDArray[np.float64]:
+def _align(points: Float64Array, targets: Float64Array) -> Float64Array:
     """Return the rigid motion (3,) that brings points to most of their targets.
 
     Least sum of distances, by iteratively reweighted least squares, each a Procrustes problem of

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
+from slamcli.core.arrays import Float64Array, Int64Array
 
 
 class Equations:
@@ -17,12 +14,12 @@ class Equations:
 
     def __init__(self, size: int) -> None:
         self.gradient = np.zeros(size)
-        self._rows: list[NDArray[np.int64]] = []
-        self._columns: list[NDArray[np.int64]] = []
-        self._values: list[NDArray[np.float64]] = []
+        self._rows: list[Int64Array] = []
+        self._columns: list[Int64Array] = []
+        self._values: list[Float64Array] = []
 
     @property
-    def entries(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    def entries(self) -> tuple[Int64Array, Int64Array, Float64Array]:
         """Rows, columns and values of H, (E,) each; those of one place add up."""
         return (
             np.concatenate(self._rows),
@@ -32,9 +29,9 @@ class Equations:
 
     def add(
         self,
-        variables: Sequence[NDArray[np.int64]],
-        jacobians: Sequence[NDArray[np.float64]],
-        residuals: NDArray[np.float64],
+        variables: Sequence[Int64Array],
+        jacobians: Sequence[Float64Array],
+        residuals: Float64Array,
     ) -> None:
         """Add K factors over the same kinds of variables.
 

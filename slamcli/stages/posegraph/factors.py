@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from slamcli.core.geometry import Pose2
+from slamcli.core.arrays import Float64Array
+from slamcli.core.geometry import Pose2
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +73,7 @@ class SenseOffsets:
     compass_offset_radians: float
     compass_offset_sigma_radians: float
     east_north_from_map: Pose2
-    east_north_covariance: NDArray[np.float64]
+    east_north_covariance: Float64Array
     lever_arm_metres: tuple[float, float]
 
 
@@ -102,7 +98,7 @@ class Solution:
     """
 
     poses: dict[int, Pose2]
-    covariances: dict[int, NDArray[np.float64]]
+    covariances: dict[int, Float64Array]
     switched_off: tuple[int, ...]
     headings_off: tuple[int, ...]
     places_off: tuple[int, ...]

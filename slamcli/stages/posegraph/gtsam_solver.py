@@ -5,24 +5,21 @@ GTSAM's Python has no factor for a heading or a place whose frame is unknown.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from slamcli.core.arrays import BoolArray, Float64Array
+from slamcli.stages.posegraph.problem import Problem
 from slamcli.stages.posegraph.sparse_solver import INLIER_PROBABILITY, LEAST_WEIGHT
 from slamcli.stages.posegraph.state import ANCHOR_SIGMA, State
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.stages.posegraph.problem import Problem
 
 _RELATIVE_ERROR = 1e-10
 # The next tightening begins where the last one left.
 _STEPS_A_TIGHTENING = 2
 
 
-def optimise(problem: Problem, state: State, weights: NDArray[np.float64]) -> State:
+def optimise(problem: Problem, state: State, weights: Float64Array) -> State:
     """Return the state of least squares of the factors with weight 1 near a first one."""
     import gtsam
 
@@ -35,9 +32,7 @@ def optimise(problem: Problem, state: State, weights: NDArray[np.float64]) -> St
     return _state(state, gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize())
 
 
-def robust(
-    problem: Problem, state: State, suspects: NDArray[np.bool_], held: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def robust(problem: Problem, state: State, suspects: BoolArray, held: BoolArray) -> BoolArray:
     """Return which factors to keep: those under no suspicion, and the suspects that agree.
 
     Parameters
@@ -68,7 +63,7 @@ def robust(
     optimiser = gtsam.GncLMOptimizer(graph, _values(state), parameters)
     optimiser.setInlierCostThresholdsAtProbability(INLIER_PROBABILITY)
     optimiser.optimize()
-    kept: NDArray[np.bool_] = ~suspects
+    kept: BoolArray = ~suspects
     kept[suspects] = np.asarray(optimiser.getWeights())[known:] > 0.5
     return kept
 

@@ -9,15 +9,13 @@ indefinite sparse symmetric linear equations, 1983). The cost is a small multipl
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
 from scipy.linalg import lapack
 from scipy.sparse.linalg import splu
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from slamcli.core.arrays import Float64Array, Int64Array
 
 # Fronts that are merged may hold this many more blocks than needed: fewer, larger steps are faster.
 _MOST_PADDING_BLOCKS = 4
@@ -37,11 +35,11 @@ class _Front:
 
 
 def diagonal_blocks(
-    rows: NDArray[np.int64],
-    columns: NDArray[np.int64],
-    values: NDArray[np.float64],
-    sizes: NDArray[np.int64],
-) -> list[NDArray[np.float64]]:
+    rows: Int64Array,
+    columns: Int64Array,
+    values: Float64Array,
+    sizes: Int64Array,
+) -> list[Float64Array]:
     """Return the diagonal blocks of the inverse of a symmetric positive definite matrix.
 
     Parameters
@@ -69,7 +67,7 @@ def diagonal_blocks(
     spans = [np.arange(new_starts[k], new_starts[k + 1]) for k in range(len(sizes))]
     matrix = sparse.coo_array((values, (moved[rows], moved[columns])), shape=(starts[-1],) * 2)
     inverses = _invert(_Matrix(sparse.tril(matrix, format="csc")), fronts, spans)
-    blocks: list[NDArray[np.float64]] = [np.empty(0)] * len(sizes)
+    blocks: list[Float64Array] = [np.empty(0)] * len(sizes)
     for front, (indices, inverse) in zip(fronts, inverses, strict=True):
         for column in front.columns:
             here = np.searchsorted(indices, spans[column])
@@ -83,7 +81,7 @@ class _Matrix:
     def __init__(self, lower: sparse.csc_array) -> None:
         self._starts, self._rows, self._values = lower.indptr, lower.indices, lower.data
 
-    def put(self, front: NDArray[np.float64], indices: NDArray[np.int64], count: int) -> None:
+    def put(self, front: Float64Array, indices: Int64Array, count: int) -> None:
         """Write the first `count` columns of a front, which stand at `indices`, into it."""
         begin, end = self._starts[indices[0]], self._starts[indices[0] + count]
         widths = np.diff(self._starts[indices[0] : indices[0] + count + 1])
@@ -93,13 +91,13 @@ class _Matrix:
         front[columns, rows] = self._values[begin:end]
 
 
-def _pattern(rows: NDArray[np.int64], columns: NDArray[np.int64], count: int) -> sparse.csc_array:
+def _pattern(rows: Int64Array, columns: Int64Array, count: int) -> sparse.csc_array:
     unique = np.unique(rows * count + columns)
     ones = np.ones(len(unique))
     return sparse.csc_array((ones, (unique // count, unique % count)), shape=(count, count))
 
 
-def _elimination_order(pattern: sparse.csc_array) -> NDArray[np.int64]:
+def _elimination_order(pattern: sparse.csc_array) -> Int64Array:
     """Return the blocks in an order that keeps the factor sparse: SuperLU's minimum degree."""
     degrees = np.diff(pattern.indptr).astype(np.float64)
     dominant = sparse.csc_matrix(pattern + sparse.diags_array(2.0 * degrees, format="csc"))
@@ -114,9 +112,7 @@ def _elimination_order(pattern: sparse.csc_array) -> NDArray[np.int64]:
     return order
 
 
-def _symbolic(
-    pattern: sparse.csc_array, order: NDArray[np.int64]
-) -> tuple[list[set[int]], list[int]]:
+def _symbolic(pattern: sparse.csc_array, order: Int64Array) -> tuple[list[set[int]], list[int]]:
     """Return what each block touches below it in the factor, and its parent in the tree, or -1."""
     position_of = np.empty(len(order), np.int64)
     position_of[order] = np.arange(len(order))
@@ -160,12 +156,12 @@ def _merged(touched: list[set[int]], parents: list[int]) -> list[_Front]:
 
 
 def _invert(
-    matrix: _Matrix, fronts: list[_Front], spans: list[NDArray[np.int64]]
-) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+    matrix: _Matrix, fronts: list[_Front], spans: list[Int64Array]
+) -> list[tuple[Int64Array, Float64Array]]:
     """Return, for every front, its scalars' places and the inverse's entries between them."""
     places = [np.concatenate([spans[k] for k in (*f.columns, *f.touched)]) for f in fronts]
     counts = [sum(len(spans[k]) for k in front.columns) for front in fronts]
-    updates: list[NDArray[np.float64] | None] = [None] * len(fronts)
+    updates: list[Float64Array | None] = [None] * len(fronts)
     factors = []
     for number, front in enumerate(fronts):
         indices, count = places[number], counts[number]
@@ -184,22 +180,22 @@ def _invert(
     return _back_down(fronts, places, counts, factors)
 
 
-def _inverse_root(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def _inverse_root(matrix: Float64Array) -> Float64Array:
     """Return the inverse of the lower Cholesky factor."""
     root, failed = lapack.dpotrf(matrix, lower=1, clean=1)
     if failed:
         raise np.linalg.LinAlgError("the map's equations are singular")
-    inverse: NDArray[np.float64] = lapack.dtrtri(root, lower=1)[0]
+    inverse: Float64Array = lapack.dtrtri(root, lower=1)[0]
     return inverse
 
 
 def _back_down(
     fronts: list[_Front],
-    places: list[NDArray[np.int64]],
+    places: list[Int64Array],
     counts: list[int],
-    factors: list[tuple[NDArray[np.float64], NDArray[np.float64]]],
-) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    inverses: list[tuple[NDArray[np.int64], NDArray[np.float64]]] = [
+    factors: list[tuple[Float64Array, Float64Array]],
+) -> list[tuple[Int64Array, Float64Array]]:
+    inverses: list[tuple[Int64Array, Float64Array]] = [
         (np.empty(0, np.int64), np.empty((0, 0)))
     ] * len(fronts)
     for number in range(len(fronts) - 1, -1, -1):

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.core.geometry import compose_poses, relative_poses
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.stages.posegraph.state import State
+from slamcli.stages.posegraph.state import State
 
 
 class Slopes(NamedTuple):
@@ -26,8 +23,8 @@ class Slopes(NamedTuple):
         Whitened.
     """
 
-    variables: tuple[NDArray[np.int64], ...]
-    jacobians: tuple[NDArray[np.float64], ...]
+    variables: tuple[Int64Array, ...]
+    jacobians: tuple[Float64Array, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,19 +40,19 @@ class Motions:
         Turns a residual into one of unit covariance.
     """
 
-    a: NDArray[np.int64]
-    b: NDArray[np.int64]
-    a_from_b: NDArray[np.float64]
-    whitening: NDArray[np.float64]
+    a: Int64Array
+    b: Int64Array
+    a_from_b: Float64Array
+    whitening: Float64Array
 
     def __len__(self) -> int:
         return len(self.a)
 
-    def errors(self, state: State) -> NDArray[np.float64]:
+    def errors(self, state: State) -> Float64Array:
         """Return (K, 3) whitened residuals."""
         seen = relative_poses(state.poses[self.a], state.poses[self.b])
         raw = relative_poses(self.a_from_b, seen)
-        errors: NDArray[np.float64] = np.einsum("kij,kj->ki", self.whitening, raw)
+        errors: Float64Array = np.einsum("kij,kj->ki", self.whitening, raw)
         return errors
 
     def slopes(self, state: State) -> Slopes:
@@ -87,19 +84,19 @@ class Headings:
     heading, sigma : (K,) float64, radians
     """
 
-    pose: NDArray[np.int64]
-    turn: NDArray[np.float64]
-    heading: NDArray[np.float64]
-    sigma: NDArray[np.float64]
+    pose: Int64Array
+    turn: Float64Array
+    heading: Float64Array
+    sigma: Float64Array
 
     def __len__(self) -> int:
         return len(self.pose)
 
-    def errors(self, state: State) -> NDArray[np.float64]:
+    def errors(self, state: State) -> Float64Array:
         """Return (K, 1) whitened residuals."""
         told = state.poses[self.pose, 2] + self.turn + state.compass_offset
         wrapped = (told - self.heading + np.pi) % (2.0 * np.pi) - np.pi
-        errors: NDArray[np.float64] = (wrapped / self.sigma)[:, None]
+        errors: Float64Array = (wrapped / self.sigma)[:, None]
         return errors
 
     def slopes(self, state: State) -> Slopes:
@@ -122,19 +119,19 @@ class Places:
     sigma : (K,) float64, metres
     """
 
-    pose: NDArray[np.int64]
-    motion: NDArray[np.float64]
-    east_north: NDArray[np.float64]
-    sigma: NDArray[np.float64]
+    pose: Int64Array
+    motion: Float64Array
+    east_north: Float64Array
+    sigma: Float64Array
 
     def __len__(self) -> int:
         return len(self.pose)
 
-    def errors(self, state: State) -> NDArray[np.float64]:
+    def errors(self, state: State) -> Float64Array:
         """Return (K, 2) whitened residuals."""
         in_map = compose_poses(state.poses[self.pose], self._antenna(state))
         told = compose_poses(state.east_north_from_map, in_map)[:, :2]
-        errors: NDArray[np.float64] = (told - self.east_north) / self.sigma[:, None]
+        errors: Float64Array = (told - self.east_north) / self.sigma[:, None]
         return errors
 
     def slopes(self, state: State) -> Slopes:
@@ -155,7 +152,7 @@ class Places:
             ),
         )
 
-    def _antenna(self, state: State) -> NDArray[np.float64]:
+    def _antenna(self, state: State) -> Float64Array:
         """Return (K, 3) places of the antenna in each pose's frame."""
         return compose_poses(self.motion, np.append(state.lever_arm, 0.0))
 
@@ -164,22 +161,22 @@ Measured = Motions | Headings | Places
 Kind = TypeVar("Kind", bound=Measured)
 
 
-def some_of(measured: Kind, places: NDArray[np.int64]) -> Kind:
+def some_of(measured: Kind, places: Int64Array) -> Kind:
     """Return the measurements at some places."""
     return type(measured)(*(getattr(measured, field.name)[places] for field in fields(measured)))
 
 
-def _pose_places(poses: NDArray[np.int64]) -> NDArray[np.int64]:
+def _pose_places(poses: Int64Array) -> Int64Array:
     return 3 * poses[:, None] + np.arange(3)
 
 
-def _arm(rotations: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _arm(rotations: Float64Array, points: Float64Array) -> Float64Array:
     """Return (K, 2, 3): how a point moves with the frame that it is fixed to."""
     lever = np.stack([-points[:, 1], points[:, 0]], axis=1)
     return np.concatenate([rotations, rotations @ lever[:, :, None]], axis=2)
 
 
-def _rotations(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rotations(angles: Float64Array) -> Float64Array:
     """Return (K, 2, 2) rotation matrices of (K,) radians."""
     cosine, sine = np.cos(angles), np.sin(angles)
     return np.stack([np.stack([cosine, -sine], 1), np.stack([sine, cosine], 1)], axis=1)

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.stages.posegraph.equations import Equations
 from slamcli.stages.posegraph.measurements import Headings, Measured, Motions, Places, some_of
-from slamcli.stages.posegraph.state import ANCHOR_SIGMA, LOOSE_SIGMA
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.stages.posegraph.state import SensePrior, State
+from slamcli.stages.posegraph.state import ANCHOR_SIGMA, LOOSE_SIGMA, SensePrior, State
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,8 +29,8 @@ class Problem:
     motions: Motions
     headings: Headings
     places: Places
-    shares: NDArray[np.float64]
-    anchors: NDArray[np.int64]
+    shares: Float64Array
+    anchors: Int64Array
     prior: SensePrior
 
     def __len__(self) -> int:
@@ -45,16 +40,16 @@ class Problem:
     def _kinds(self) -> tuple[Measured, ...]:
         return self.motions, self.headings, self.places
 
-    def squared_errors(self, state: State) -> NDArray[np.float64]:
+    def squared_errors(self, state: State) -> Float64Array:
         """Return (F,): every factor's squared residual, in its own variances."""
         return np.concatenate([np.sum(kind.errors(state) ** 2, axis=1) for kind in self._kinds])
 
-    def cost(self, state: State, weights: NDArray[np.float64]) -> float:
+    def cost(self, state: State, weights: Float64Array) -> float:
         """Return the weighted sum of squares that a solution makes least."""
         known = float(np.sum(self.prior.errors(state) ** 2))
         return float((weights * self.shares) @ self.squared_errors(state)) + known
 
-    def linearise(self, state: State, weights: NDArray[np.float64]) -> Equations:
+    def linearise(self, state: State, weights: Float64Array) -> Equations:
         """Return the normal equations at a state, each factor weighted; those at 0 leave no trace.
 
         Parameters
@@ -87,7 +82,7 @@ def _add(
     equations: Equations,
     measured: Measured,
     state: State,
-    weights: NDArray[np.float64],
+    weights: Float64Array,
 ) -> None:
     used = np.flatnonzero(weights)
     root = np.sqrt(weights[used])

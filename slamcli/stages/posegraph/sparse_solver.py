@@ -7,18 +7,14 @@ pulls; as it tightens, those that the others contradict are let go.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.special import chdtri
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.stages.posegraph.problem import Problem
-    from slamcli.stages.posegraph.state import State
+from slamcli.core.arrays import BoolArray, Float64Array
+from slamcli.stages.posegraph.problem import Problem
+from slamcli.stages.posegraph.state import State
 
 # A true factor errs by more than the threshold once in ten thousand; a false one mostly by far. One
 # threshold for all, as for three numbers.
@@ -38,7 +34,7 @@ _NEARLY_DECIDED = 1e-3
 
 
 def optimise(
-    problem: Problem, state: State, weights: NDArray[np.float64], most_steps: int = _MOST_STEPS
+    problem: Problem, state: State, weights: Float64Array, most_steps: int = _MOST_STEPS
 ) -> State:
     """Return the state of least weighted squares near a first one (Levenberg-Marquardt)."""
     cost, damping = problem.cost(state, weights), 0.0
@@ -63,9 +59,9 @@ def optimise(
 def robust(
     problem: Problem,
     state: State,
-    suspects: NDArray[np.bool_],
-    held: NDArray[np.bool_],
-) -> NDArray[np.bool_]:
+    suspects: BoolArray,
+    held: BoolArray,
+) -> BoolArray:
     """Return which factors to keep: those under no suspicion, and the suspects that agree.
 
     Parameters
@@ -93,11 +89,11 @@ def robust(
         if np.all(np.minimum(decided, 1.0 - decided) < _NEARLY_DECIDED) and control > 1.0:
             break
         control *= _TIGHTENING
-    kept: NDArray[np.bool_] = ~suspects | (weights > 0.5)
+    kept: BoolArray = ~suspects | (weights > 0.5)
     return kept
 
 
-def _weights(ratio: NDArray[np.float64], control: float) -> NDArray[np.float64]:
+def _weights(ratio: Float64Array, control: float) -> Float64Array:
     """Return the weights of squared errors over their thresholds (eq. 14 of the paper)."""
     with np.errstate(divide="ignore"):
         between = np.sqrt(control * (control + 1.0) / ratio) - control
@@ -105,9 +101,7 @@ def _weights(ratio: NDArray[np.float64], control: float) -> NDArray[np.float64]:
     return np.where(weights < LEAST_WEIGHT, 0.0, weights)
 
 
-def _solved(
-    hessian: sparse.csc_matrix, gradient: NDArray[np.float64], damping: float
-) -> NDArray[np.float64]:
+def _solved(hessian: sparse.csc_matrix, gradient: Float64Array, damping: float) -> Float64Array:
     if damping > 0.0:
         hessian = (hessian + sparse.diags_array(damping * hessian.diagonal())).tocsc()
     factor = splu(
@@ -116,5 +110,5 @@ def _solved(
         diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
     )
-    step: NDArray[np.float64] = factor.solve(gradient)
+    step: Float64Array = factor.solve(gradient)
     return step

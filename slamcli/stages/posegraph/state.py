@@ -7,14 +7,11 @@ space. Jacobians after Sola, Deray and Atchuthan, A micro Lie theory (2018).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.geometry import compose_poses, relative_poses
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 # What is taken for certain is held this firmly (m, rad).
 ANCHOR_SIGMA = 1e-6
@@ -35,8 +32,8 @@ class State:
         GPS antenna in the robot's frame (m).
     """
 
-    poses: NDArray[np.float64]
-    senses: NDArray[np.float64]
+    poses: Float64Array
+    senses: Float64Array
 
     @property
     def compass_offset(self) -> float:
@@ -44,16 +41,16 @@ class State:
         return float(self.senses[0])
 
     @property
-    def east_north_from_map(self) -> NDArray[np.float64]:
+    def east_north_from_map(self) -> Float64Array:
         """(3,): x, y (m), theta (rad)."""
         return self.senses[1:4]
 
     @property
-    def lever_arm(self) -> NDArray[np.float64]:
+    def lever_arm(self) -> Float64Array:
         """(2,) metres, ahead and to the left."""
         return self.senses[4:]
 
-    def moved(self, step: NDArray[np.float64]) -> State:
+    def moved(self, step: Float64Array) -> State:
         """Return the state after a step of the solver, (3 N + 6,)."""
         count = 3 * len(self.poses)
         poses = compose_poses(self.poses, step[:count].reshape(-1, 3))
@@ -82,11 +79,11 @@ class SensePrior:
         Whether earlier readings told of compass and datum; if not, these are found anew.
     """
 
-    senses: NDArray[np.float64]
-    whitening: NDArray[np.float64]
+    senses: Float64Array
+    whitening: Float64Array
     told: bool
 
-    def errors(self, state: State) -> NDArray[np.float64]:
+    def errors(self, state: State) -> Float64Array:
         """Return (6,): by how much a state is off, whitened."""
         off = state.senses - self.senses
         off[1:4] = relative_poses(self.senses[1:4], state.east_north_from_map)

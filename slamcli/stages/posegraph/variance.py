@@ -8,20 +8,14 @@ and Ackermann, Observations and Least Squares, 1976).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+from slamcli.core.arrays import Float64Array
 
 # What links say of their own errors weighs as much as so many residuals.
 _TOLD_BY_THEMSELVES = 10.0
 _FREEDOM = 3
 
 
-def variance_factor(
-    squared_errors: NDArray[np.float64], surplus_links: int, closed_loops: int
-) -> float:
+def variance_factor(squared_errors: Float64Array, surplus_links: int, closed_loops: int) -> float:
     """Return what the links' covariances are to be multiplied by.
 
     That links contradict one another shows at once that they err by more than they say. That they

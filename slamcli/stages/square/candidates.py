@@ -7,17 +7,14 @@ outline, leaves the four that count among the rest.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
+from slamcli.core.arrays import BoolArray, Float64Array, Int32Array, IntpArray, UInt8Array
 
 # Smaller than this share of the picture a square cannot say much about the camera.
 _LEAST_AREA_SHARE = 0.0008
@@ -36,9 +33,7 @@ _SAME_AREA_SHARE = 0.03
 _SAME_BOX_PIXELS = 3
 
 
-def find_candidates(
-    image: NDArray[np.uint8], most: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def find_candidates(image: UInt8Array, most: int) -> tuple[Float64Array, Float64Array]:
     """Return the quadrilaterals best supported by edges.
 
     Parameters
@@ -57,7 +52,7 @@ def find_candidates(
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), 1.2), dtype=np.uint8)
     height, width = image.shape
     least_area = max(_LEAST_AREA_PIXELS, _LEAST_AREA_SHARE * width * height)
-    outlines: dict[tuple[int, ...], NDArray[np.int32]] = {}
+    outlines: dict[tuple[int, ...], Int32Array] = {}
     for binary in _binaries(smooth):
         for outline in _outlines(binary, least_area):
             outlines.setdefault(_rough_shape(outline), outline)
@@ -77,9 +72,7 @@ def find_candidates(
     return _keep_distinct(quads, supports, most)
 
 
-def edge_support(
-    smooth: NDArray[np.uint8], quads: NDArray[np.float64], samples: int
-) -> NDArray[np.float64]:
+def edge_support(smooth: UInt8Array, quads: Float64Array, samples: int) -> Float64Array:
     """Return (N,) how well a step of one sign, light or dark inside, runs along all four sides.
 
     Each side's support is the share of its samples that show the step; the weakest side and the
@@ -102,20 +95,20 @@ def edge_support(
     needed = np.maximum(0.4 * np.abs(typical), 6.0)[:, None, None]
     shown = step * np.sign(typical)[:, None, None] >= needed
     side_support = shown.mean(axis=2)
-    support: NDArray[np.float64] = 0.5 * (side_support.min(axis=1) + side_support.mean(axis=1))
+    support: Float64Array = 0.5 * (side_support.min(axis=1) + side_support.mean(axis=1))
     return support
 
 
-def quad_area(quads: NDArray[np.float64]) -> NDArray[np.float64]:
+def quad_area(quads: Float64Array) -> Float64Array:
     """Return (...,) square pixels enclosed by (..., 4, 2) corners."""
     first, second = quads[..., 2, :] - quads[..., 0, :], quads[..., 3, :] - quads[..., 1, :]
-    area: NDArray[np.float64] = 0.5 * np.abs(
+    area: Float64Array = 0.5 * np.abs(
         first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
     )
     return area
 
 
-def same_quad(quad: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.bool_]:
+def same_quad(quad: Float64Array, others: Float64Array) -> BoolArray:
     """Return (N,) whether each of (N, 4, 2) quadrilaterals is `quad` but for small differences."""
     size = float(np.sqrt(quad_area(quad)))
     same = np.zeros(len(others), dtype=bool)
@@ -125,7 +118,7 @@ def same_quad(quad: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray
     return same
 
 
-def _binaries(smooth: NDArray[np.uint8]) -> Iterator[NDArray[np.uint8]]:
+def _binaries(smooth: UInt8Array) -> Iterator[UInt8Array]:
     """Yield the picture cut at many levels, each opened to shed thin lines, light and dark."""
     low, high = np.percentile(smooth, (1, 99))
     levels = np.linspace(low, high, _THRESHOLD_LEVELS + 2)[1:-1]
@@ -144,7 +137,7 @@ def _binaries(smooth: NDArray[np.uint8]) -> Iterator[NDArray[np.uint8]]:
                 yield mask
 
 
-def _outlines(binary: NDArray[np.uint8], least_area: float) -> list[NDArray[np.int32]]:
+def _outlines(binary: UInt8Array, least_area: float) -> list[Int32Array]:
     contours, _ = cv2.findContours(binary, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     return [
         np.asarray(contour[:, 0], dtype=np.int32)
@@ -153,7 +146,7 @@ def _outlines(binary: NDArray[np.uint8], least_area: float) -> list[NDArray[np.i
     ]
 
 
-def _rough_shape(outline: NDArray[np.int32]) -> tuple[int, ...]:
+def _rough_shape(outline: Int32Array) -> tuple[int, ...]:
     """Return a key that outlines share which give the same candidates: neighbouring thresholds."""
     low, high = outline.min(axis=0), outline.max(axis=0)
     log_area = round(float(np.log(cv2.contourArea(outline))) / _SAME_AREA_SHARE)
@@ -161,9 +154,7 @@ def _rough_shape(outline: NDArray[np.int32]) -> tuple[int, ...]:
     return (*(np.concatenate([low, high]) // _SAME_BOX_PIXELS).tolist(), log_area, log_length)
 
 
-def _quads_of_outline(
-    outline: NDArray[np.int32], least_area: float
-) -> Iterator[NDArray[np.float64]]:
+def _quads_of_outline(outline: Int32Array, least_area: float) -> Iterator[Float64Array]:
     """Yield (N, 4, 2) convex quadrilaterals made of four straight pieces of one outline."""
     size = float(np.sqrt(cv2.contourArea(outline)))
     for tolerance in _TOLERANCES:
@@ -178,7 +169,7 @@ def _quads_of_outline(
             yield quads
 
 
-def _fit_pieces(outline: NDArray[np.int32], vertices: NDArray[np.int32]) -> NDArray[np.float64]:
+def _fit_pieces(outline: Int32Array, vertices: Int32Array) -> Float64Array:
     """Return (n, 3) lines fitted to the outline's points along its longest straight pieces."""
     cuts = _places_of(vertices, outline)
     counts = (np.roll(cuts, -1) - cuts) % len(outline)
@@ -204,7 +195,7 @@ def _fit_pieces(outline: NDArray[np.int32], vertices: NDArray[np.int32]) -> NDAr
     return line_through(centre, centre + direction)
 
 
-def _places_of(vertices: NDArray[np.int32], outline: NDArray[np.int32]) -> NDArray[np.intp]:
+def _places_of(vertices: Int32Array, outline: Int32Array) -> IntpArray:
     """Return where on the outline each of some of its points lies."""
     codes = outline[:, 0].astype(np.int64) << 32 | outline[:, 1]
     order = np.argsort(codes, kind="stable")
@@ -212,7 +203,7 @@ def _places_of(vertices: NDArray[np.int32], outline: NDArray[np.int32]) -> NDArr
     return order[np.searchsorted(codes[order], wanted)]
 
 
-def _close_pieces(lines: NDArray[np.float64]) -> NDArray[np.float64]:
+def _close_pieces(lines: Float64Array) -> Float64Array:
     """Intersect every four lines, in their order around the outline; keep the convex results."""
     if len(lines) < 4:
         return np.empty((0, 4, 2))
@@ -223,11 +214,11 @@ def _close_pieces(lines: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @cache
-def _fours(count: int) -> NDArray[np.intp]:
+def _fours(count: int) -> IntpArray:
     return np.array(list(combinations(range(count), 4)))
 
 
-def line_through(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def line_through(first: Float64Array, second: Float64Array) -> Float64Array:
     """Return (..., 3) lines a x + b y + c = 0, (a, b) of length 1, through two points each."""
     along = second - first
     along = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
@@ -236,27 +227,27 @@ def line_through(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDA
     return np.concatenate([normal, offset], axis=-1)
 
 
-def intersect(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def intersect(first: Float64Array, second: Float64Array) -> Float64Array:
     """Return (..., 2) points where lines meet; nan where they are parallel."""
     crossing = np.cross(first, second)
     parallel = np.abs(crossing[..., 2:]) < 1e-9
     divisor = np.where(parallel, np.nan, crossing[..., 2:])
-    points: NDArray[np.float64] = crossing[..., :2] / divisor
+    points: Float64Array = crossing[..., :2] / divisor
     return points
 
 
-def is_convex(quads: NDArray[np.float64]) -> NDArray[np.bool_]:
+def is_convex(quads: Float64Array) -> BoolArray:
     """Return (...,) whether (..., 4, 2) corners turn right at each (clockwise in the picture)."""
     along = np.roll(quads, -1, axis=-2) - quads
     following = np.roll(along, -1, axis=-2)
     turn = along[..., 0] * following[..., 1] - along[..., 1] * following[..., 0]
     lengths = np.linalg.norm(along, axis=-1) * np.linalg.norm(following, axis=-1)
     with np.errstate(invalid="ignore"):
-        convex: NDArray[np.bool_] = np.all(turn > 0.08 * lengths, axis=-1)
+        convex: BoolArray = np.all(turn > 0.08 * lengths, axis=-1)
     return convex
 
 
-def _look_up(image: NDArray[np.uint8], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _look_up(image: UInt8Array, points: Float64Array) -> Float64Array:
     height, width = image.shape
     columns = np.clip(np.rint(points[..., 0]).astype(np.intp), 0, width - 1)
     rows = np.clip(np.rint(points[..., 1]).astype(np.intp), 0, height - 1)
@@ -264,8 +255,8 @@ def _look_up(image: NDArray[np.uint8], points: NDArray[np.float64]) -> NDArray[n
 
 
 def _keep_distinct(
-    quads: NDArray[np.float64], supports: NDArray[np.float64], most: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    quads: Float64Array, supports: Float64Array, most: int
+) -> tuple[Float64Array, Float64Array]:
     """Keep the best of each group of near-equal quadrilaterals, large before small at a tie."""
     ranking = supports * quad_area(quads) ** 0.1
     order = np.argsort(-ranking, kind="stable")

@@ -11,19 +11,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import map_coordinates, uniform_filter1d
 
+from slamcli.core.arrays import BoolArray, Float32Array, Float64Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.projection import Lens
 from slamcli.stages.square.candidates import intersect, is_convex, line_through, quad_area
 from slamcli.stages.square.lines import Side, fit_side, fit_side_robustly, ransac_weights
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from slamcli.core.camera.projection import Lens
 
 _PROFILE_STEP_PIXELS = 0.5
 _MOST_PROFILES = 400
@@ -55,8 +51,8 @@ class EdgedQuad:
         Root mean square of the edge points about their lines.
     """
 
-    corners: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    corners: Float64Array
+    covariance: Float64Array
     support: float
     contrast: float
     bow_pixels: float
@@ -67,15 +63,15 @@ class EdgedQuad:
 class _Profiles:
     """Gray values across one side: (N, T) values at `offsets` (T,), positive outwards."""
 
-    origins: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    offsets: NDArray[np.float64]
-    values: NDArray[np.float64]
-    usable: NDArray[np.bool_]
+    origins: Float64Array
+    normals: Float64Array
+    offsets: Float64Array
+    values: Float64Array
+    usable: BoolArray
 
 
 def refine_quad(
-    image: NDArray[np.float32], corners: NDArray[np.float64], lens: Lens, reach_pixels: float
+    image: Float32Array, corners: Float64Array, lens: Lens, reach_pixels: float
 ) -> EdgedQuad | None:
     """Fit the four sides of a quadrilateral to the picture's edges and intersect them.
 
@@ -118,7 +114,7 @@ def refine_quad(
     return _assemble(_follow_bow(quad, sides) if bent else quad, sides)
 
 
-def _follow_bow(quad: NDArray[np.float64], sides: list[Side]) -> NDArray[np.float64]:
+def _follow_bow(quad: Float64Array, sides: list[Side]) -> Float64Array:
     """Move the corners from where the sides' lines meet to where their parabolas do."""
     moved = quad.copy()
     for corner in range(4):
@@ -136,15 +132,15 @@ def _follow_bow(quad: NDArray[np.float64], sides: list[Side]) -> NDArray[np.floa
     return moved
 
 
-def inner_radius(quad: NDArray[np.float64]) -> float:
+def inner_radius(quad: Float64Array) -> float:
     """Return about the radius, pixels, of the largest circle in a quadrilateral."""
     perimeter = float(np.linalg.norm(np.roll(quad, -1, axis=0) - quad, axis=1).sum())
     return 2.0 * float(quad_area(quad)) / perimeter
 
 
 def _read_profiles(
-    image: NDArray[np.float32],
-    quad: NDArray[np.float64],
+    image: Float32Array,
+    quad: Float64Array,
     index: int,
     lens: Lens,
     half_length: float,
@@ -161,7 +157,7 @@ def _read_profiles(
     normals = np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True), np.float64)
     samples = 2 * math.ceil(half_length / _PROFILE_STEP_PIXELS) + 1
     steps_across = np.arange(samples, dtype=np.float64) - samples // 2
-    offsets: NDArray[np.float64] = steps_across * _PROFILE_STEP_PIXELS
+    offsets: Float64Array = steps_across * _PROFILE_STEP_PIXELS
     pixels = origins[:, None] + normals[:, None] * offsets[None, :, None]
     values = map_coordinates(image, [pixels[..., 1], pixels[..., 0]], order=1, mode="nearest")
     height, width = image.shape
@@ -178,9 +174,7 @@ def _read_profiles(
     return _Profiles(origins, normals, offsets, np.asarray(values, dtype=np.float64), usable)
 
 
-def _polarity(
-    image: NDArray[np.float32], quad: NDArray[np.float64], lens: Lens, reach_pixels: float
-) -> float:
+def _polarity(image: Float32Array, quad: Float64Array, lens: Lens, reach_pixels: float) -> float:
     """Return +1 where the inside is lighter than the outside along most of the sides, else -1."""
     half = min(reach_pixels + _LEVEL_PIXELS, 0.5 * inner_radius(quad))
     differences = []
@@ -198,8 +192,8 @@ def _polarity(
 
 
 def _coarse_side(
-    image: NDArray[np.float32],
-    quad: NDArray[np.float64],
+    image: Float32Array,
+    quad: Float64Array,
     index: int,
     lens: Lens,
     reach_pixels: float,
@@ -230,8 +224,8 @@ def _coarse_side(
 
 
 def _fine_side(
-    image: NDArray[np.float32],
-    quad: NDArray[np.float64],
+    image: Float32Array,
+    quad: Float64Array,
     index: int,
     lens: Lens,
     window: float,
@@ -265,7 +259,7 @@ def _fine_side(
     )
 
 
-def _locate(share: NDArray[np.float64], offsets: NDArray[np.float64]) -> NDArray[np.float64]:
+def _locate(share: Float64Array, offsets: Float64Array) -> Float64Array:
     """Return (N,) where each profile (N, T), scaled to 1 inside and 0 outside, has its edge.
 
     The mean profile is placed by its integral; each single one against the mean by matching it
@@ -276,20 +270,18 @@ def _locate(share: NDArray[np.float64], offsets: NDArray[np.float64]) -> NDArray
     length_inside = (mean.sum() - 0.5 * (mean[0] + mean[-1])) * _PROFILE_STEP_PIXELS
     slope = np.gradient(mean, _PROFILE_STEP_PIXELS)
     shift = -(share - mean) @ slope / float(slope @ slope)
-    position: NDArray[np.float64] = offsets[0] + length_inside + shift
+    position: Float64Array = offsets[0] + length_inside + shift
     return position
 
 
-def _trimmed_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _trimmed_mean(values: Float64Array) -> Float64Array:
     """Return (T,) the mean of the middle three quarters of (N, T): touching paint stays out."""
     cut = len(values) // 8
-    mean: NDArray[np.float64] = np.sort(values, axis=0)[cut : len(values) - cut].mean(axis=0)
+    mean: Float64Array = np.sort(values, axis=0)[cut : len(values) - cut].mean(axis=0)
     return mean
 
 
-def _blur_window(
-    image: NDArray[np.float32], quad: NDArray[np.float64], lens: Lens, reach_pixels: float
-) -> float:
+def _blur_window(image: Float32Array, quad: Float64Array, lens: Lens, reach_pixels: float) -> float:
     """Return how far from the line, pixels, the transition reaches: blur, and the line's error."""
     largest = min(max(reach_pixels, 4.0) + 4.0, 0.4 * inner_radius(quad) - _LEVEL_PIXELS)
     smallest = 2.0
@@ -310,7 +302,7 @@ def _blur_window(
     return float(np.clip(1.0 + max(widths, default=1.0), smallest, largest))
 
 
-def _assemble(quad: NDArray[np.float64], sides: list[Side]) -> EdgedQuad:
+def _assemble(quad: Float64Array, sides: list[Side]) -> EdgedQuad:
     supports = np.array([side.support for side in sides])
     # Corner k is where sides k - 1 and k meet: n . corner = place, to first order, for each.
     jacobian = np.zeros((8, 8))

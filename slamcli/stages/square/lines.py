@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
 from slamcli.stages.square.candidates import line_through
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _TUKEY = 4.685
 _LEAST_SCALE_PIXELS = 0.03
@@ -36,24 +33,24 @@ class Side:
     inwards, shrunk towards zero by how far chance may have made it.
     """
 
-    centre: NDArray[np.float64]
-    direction: NDArray[np.float64]
+    centre: Float64Array
+    direction: Float64Array
     half_length: float
-    covariance: NDArray[np.float64]
+    covariance: Float64Array
     support: float
     contrast: float
     bow_pixels: float
     residual_pixels: float
 
     @property
-    def line(self) -> NDArray[np.float64]:
+    def line(self) -> Float64Array:
         """(3,) coefficients, the normal pointing out of the quadrilateral."""
         return line_through(self.centre, self.centre + self.direction)
 
 
 def fit_side(
-    points: NDArray[np.float64],
-    weights: NDArray[np.float64],
+    points: Float64Array,
+    weights: Float64Array,
     total: int,
     contrast: float,
     width_pixels: float,
@@ -102,7 +99,7 @@ def fit_side(
 
 
 def fit_side_robustly(
-    points: NDArray[np.float64], total: int, contrast: float, width_pixels: float
+    points: Float64Array, total: int, contrast: float, width_pixels: float
 ) -> Side:
     """Fit one line as `fit_side` does, with Tukey's weights."""
     weights = np.ones(len(points))
@@ -114,9 +111,7 @@ def fit_side_robustly(
     return fit_side(points, weights, total, contrast, width_pixels)
 
 
-def _fit_line(
-    points: NDArray[np.float64], weights: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _fit_line(points: Float64Array, weights: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Return a point of the line and its unit direction, from the first point to the last."""
     centre = weights @ points / float(weights.sum())
     x, y = (points - centre).T
@@ -127,7 +122,7 @@ def _fit_line(
     return centre, direction if heading > 0 else -direction
 
 
-def ransac_weights(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def ransac_weights(points: Float64Array) -> Float64Array:
     """Return (N,) 1 for the points of the line through two of them that has most, else 0."""
     generator = np.random.default_rng(len(points))
     first = generator.integers(len(points), size=_RANSAC_DRAWS)
@@ -136,12 +131,12 @@ def ransac_weights(points: NDArray[np.float64]) -> NDArray[np.float64]:
     distance = np.abs(points @ lines[:, :2].T + lines[:, 2])
     # Half way between counting and least squares: a truncated quadratic (MSAC).
     cost = np.minimum(distance**2, 1.0).sum(axis=0)
-    weights: NDArray[np.float64] = (distance[:, int(cost.argmin())] < 1.5).astype(np.float64)
+    weights: Float64Array = (distance[:, int(cost.argmin())] < 1.5).astype(np.float64)
     return weights
 
 
 def _measure_bow(
-    places: NDArray[np.float64], across: NDArray[np.float64], weights: NDArray[np.float64]
+    places: Float64Array, across: Float64Array, weights: Float64Array
 ) -> tuple[float, float]:
     """Return the sagitta, pixels, of a parabola over `places` in [-1, 1], and its sigma."""
     fit = np.polynomial.polynomial.polyfit(places, across, 2, w=np.sqrt(weights))
@@ -151,7 +146,7 @@ def _measure_bow(
     return float(fit[2]), math.sqrt(_BOW_VARIANCE_FACTOR * variance / mass)
 
 
-def _correlated_neighbours(residuals: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+def _correlated_neighbours(residuals: Float64Array, weights: Float64Array) -> float:
     """Return how many neighbouring profiles err as one: shared pixels, and grain of the floor.
 
     The integrated autocorrelation 1 + 2 sum rho_k, cut at its first lag without correlation.

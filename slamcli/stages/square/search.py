@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from slamcli.core.arrays import Float64Array, UInt8Array
 from slamcli.core.camera import projection
+from slamcli.core.camera.projection import Lens
 from slamcli.core.errors import CalibrationError
 from slamcli.stages.square.candidates import find_candidates, quad_area, same_quad
 from slamcli.stages.square.edges import EdgedQuad, inner_radius, refine_quad
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from slamcli.core.camera.projection import Lens
-
-    # Corners (4, 2) in undistorted pixels to how well they may be a square on the floor, in [0, 1].
-    Judge = Callable[[NDArray[np.float64]], float]
+Judge = Callable[[Float64Array], float]
 
 _SEARCH_WIDTH_PIXELS = 960
 _MOST_CANDIDATES = 40
@@ -51,12 +45,12 @@ class Square:
         In [0, 1]: how well it is seen, how large it is, how plausible it is.
     """
 
-    corners: NDArray[np.float64]
+    corners: Float64Array
     quad: EdgedQuad
     score: float
 
 
-def find_squares(image: NDArray[np.uint8], lens: Lens, judge: Judge) -> tuple[Square, ...]:
+def find_squares(image: UInt8Array, lens: Lens, judge: Judge) -> tuple[Square, ...]:
     """Return the square that is best supported, and any other that comes near it, best first.
 
     Parameters
@@ -88,7 +82,7 @@ def find_squares(image: NDArray[np.uint8], lens: Lens, judge: Judge) -> tuple[Sq
     )
 
 
-def refine_square(image: NDArray[np.uint8], corners: NDArray[np.float64], lens: Lens) -> Square:
+def refine_square(image: UInt8Array, corners: Float64Array, lens: Lens) -> Square:
     """Return the square whose corners were given, moved to the edges of the picture nearby.
 
     Parameters
@@ -113,7 +107,7 @@ def refine_square(image: NDArray[np.uint8], corners: NDArray[np.float64], lens: 
     return Square(projection.distort_points(lens, quad.corners), quad, quad.support)
 
 
-def _squares_in(plane: NDArray[np.uint8], lens: Lens, judge: Judge) -> list[Square]:
+def _squares_in(plane: UInt8Array, lens: Lens, judge: Judge) -> list[Square]:
     height, width = plane.shape
     shrink = max(1.0, width / _SEARCH_WIDTH_PIXELS)
     small = plane
@@ -139,7 +133,7 @@ def _squares_in(plane: NDArray[np.uint8], lens: Lens, judge: Judge) -> list[Squa
     return _distinct(found)
 
 
-def _is_coloured(image: NDArray[np.uint8]) -> bool:
+def _is_coloured(image: UInt8Array) -> bool:
     """Tell whether some part of the picture, beyond its noise, is not gray."""
     small = cv2.resize(image, (64, 48), interpolation=cv2.INTER_AREA).astype(np.float64)
     return float(np.ptp(small, axis=2).max()) > _COLOURED_GRAY_LEVELS
@@ -157,14 +151,14 @@ def _score(quad: EdgedQuad, picture_area: int, judge: Judge) -> float:
     return score
 
 
-def _enlarge(quads: NDArray[np.float64], factor: float) -> NDArray[np.float64]:
+def _enlarge(quads: Float64Array, factor: float) -> Float64Array:
     """Map pixels of a picture shrunk by area averaging to those of the whole one."""
     # The middle of the first small pixel lies in the middle of the first `factor` large ones.
-    enlarged: NDArray[np.float64] = quads * factor + (factor - 1.0) / 2.0
+    enlarged: Float64Array = quads * factor + (factor - 1.0) / 2.0
     return enlarged
 
 
-def _from_upper_left(corners: NDArray[np.float64], quad: EdgedQuad, score: float) -> Square:
+def _from_upper_left(corners: Float64Array, quad: EdgedQuad, score: float) -> Square:
     turn = -int(np.argmin(corners.sum(axis=1)))
     turned = EdgedQuad(
         corners=np.roll(quad.corners, turn, axis=0),

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
-from slamcli.core.records import Prepared
-from slamcli.io.frames import read_frame
+from slamcli.core.records import Frame, Prepared
+from slamcli.io.frames import FrameFile, read_frame
 from slamcli.mapping.mapper import Mapper
-from slamcli.run.session.executor import ordered, threads
+from slamcli.run.paint.thumbnails import Glimpses
+from slamcli.run.session.executor import Progress, ordered, threads
 from slamcli.selfcal import Registration
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from slamcli.core.config import MapperOptions
-    from slamcli.core.records import Calibration, Frame
-    from slamcli.io.frames import FrameFile
-    from slamcli.run.paint.thumbnails import Glimpses
-    from slamcli.run.session.executor import Progress
 
 
 def read_and_prepare(

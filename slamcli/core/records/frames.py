@@ -1,0 +1,157 @@
+"""One picture of a sequence, and what becomes of it: its view, its pyramid, a keyframe."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array
+from slamcli.core.geometry import Grid
+from slamcli.core.records.features import Features
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One picture of a sequence.
+
+    Attributes
+    ----------
+    index : int
+        Place in the sequence, from 0.
+    name : str
+    stamp : float or None
+        Seconds.
+    image : (H, W, 3) or (H, W) uint8, BGR or gray
+    mask : (H, W) uint8 or None
+        255 where the picture is opaque; None when all of it is.
+    """
+
+    index: int
+    name: str
+    stamp: float | None
+    image: UInt8Array
+    mask: UInt8Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A bird's-eye picture of the floor.
+
+    Attributes
+    ----------
+    grid : Grid
+        In the robot frame: the robot looks along x, to the right of the picture.
+    image : (h, w) or (h, w, 3) uint8
+    mask : (h, w) uint8
+        255 where floor was really seen, else 0.
+    frame_noise_gray : float
+        One standard deviation of the camera's noise in the picture it was made of; 0 where unknown.
+    """
+
+    grid: Grid
+    image: UInt8Array
+    mask: UInt8Array
+    frame_noise_gray: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DenseLevel:
+    """One level of a view's pyramid, ready to be compared pixel by pixel.
+
+    Attributes
+    ----------
+    pixel_from_metres : (3, 3) float64
+        Robot frame to this level's pixels.
+    metres_per_pixel : float
+    image, mask : (h, w) uint8
+        The view, shrunk; 255 in the mask where all of a pixel was seen.
+    detail : (h, w) float32
+        The image without its slow brightness, which belongs to lamp and lens.
+    inside : (h, w) uint8
+        255 where the detail and its gradient are free of the mask's border.
+    weight : (h, w) float32
+        1 there, else 0.
+    points : (N, 2) float64
+        The pixels whose gradients tell most, metres, robot frame.
+    values : (N,) float64
+        Their detail.
+    gradients : (N, 2) float64
+        Of the detail, per metre.
+    noise_gray : float
+        One standard deviation of the camera's noise in the detail.
+    normalised : (h, w) float32
+        The detail with its local contrast evened out; 0 outside.
+    energy : float
+        The mean of its square, of what is inside.
+    frame_noise_gray : float
+        One standard deviation of the camera's noise in the frame itself; 0 where unknown.
+    """
+
+    pixel_from_metres: Float64Array
+    metres_per_pixel: float
+    image: UInt8Array
+    mask: UInt8Array
+    detail: Float32Array
+    inside: UInt8Array
+    weight: Float32Array
+    points: Float64Array
+    values: Float64Array
+    gradients: Float64Array
+    noise_gray: float
+    normalised: Float32Array
+    energy: float
+    frame_noise_gray: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prepared:
+    """What one frame gives to the mapper: all that can be computed without any other frame.
+
+    Attributes
+    ----------
+    index, name, stamp
+        Of the frame.
+    view : View or None
+        Gray; None when the frame could not be used.
+    features : Features or None
+    reason : str
+        Why the frame could not be used; empty when it could.
+    levels : tuple of DenseLevel
+        Of the view, from half resolution on.
+    far_levels : tuple of DenseLevel
+        Of a coarser view that reaches farther; empty where the camera sees no farther.
+    repeats : (K, 2) float64
+        Shifts, metres in the robot's axes, by which the view looks like itself.
+    """
+
+    index: int
+    name: str
+    stamp: float | None
+    view: View | None
+    features: Features | None
+    reason: str = ""
+    levels: tuple[DenseLevel, ...] = ()
+    far_levels: tuple[DenseLevel, ...] = ()
+    repeats: Float64Array = field(default_factory=lambda: np.empty((0, 2)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframe:
+    """A frame as it is kept for as long as the map lasts, to be compared with later ones.
+
+    Attributes
+    ----------
+    index, name, stamp
+        Of the frame.
+    features : Features
+    image, mask : bytes
+        Of its view at half resolution, as JPEG and PNG.
+    """
+
+    index: int
+    name: str
+    stamp: float | None
+    features: Features
+    image: bytes
+    mask: bytes

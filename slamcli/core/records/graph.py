@@ -1,0 +1,116 @@
+"""Nodes and edges of the pose graph, and the map that a finished drive leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from slamcli.core.arrays import Float64Array
+from slamcli.core.camera.calibration import Calibration, Rocking
+from slamcli.core.config import FeatureOptions
+from slamcli.core.geometry import Pose2
+from slamcli.core.records.frames import Keyframe
+
+LinkKind = Literal["step", "loop", "odometry", "compass", "gps", "partial"]
+Status = Literal["tracked", "predicted", "lost"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Link:
+    """A measured motion between two frames.
+
+    Attributes
+    ----------
+    a, b : int
+        Frame indices.
+    a_from_b : Pose2
+    covariance : (3, 3) float64
+        Of x, y (m) and theta (rad), in b's own axes (GTSAM's tangent space).
+    inliers : int
+    score : float
+        How likely the motion is right, in [0, 1]; nan when no picture told it.
+    kind : str
+    """
+
+    a: int
+    b: int
+    a_from_b: Pose2
+    covariance: Float64Array
+    inliers: int
+    score: float
+    kind: LinkKind
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseEstimate:
+    """Where the robot was for one frame, or why that is not known.
+
+    Attributes
+    ----------
+    index, name, stamp
+        Of the frame.
+    map_from_robot : Pose2 or None
+        None when lost.
+    status : str
+    reason : str
+        Why the frame is not tracked, or a remark; mostly empty when it is.
+    fragment : int
+        Which connected map the pose belongs to; -1 when lost.
+    covariance : (3, 3) float64 or None
+        Of x, y (m), theta (rad), in the robot's own axes.
+    inliers : int
+    score : float
+        Of the surest link that placed the frame; nan without one.
+    revised : tuple of int
+        Frames whose earlier estimates this update changed.
+    odom_from_robot : Pose2 or None
+        The motions of all frames so far added up: it drifts and never jumps (ROS REP 105), for a
+        controller, while `map_from_robot` may be revised. None when lost.
+    rocking : Rocking or None
+        How its camera stood; None for as calibrated.
+    """
+
+    index: int
+    name: str
+    stamp: float | None
+    map_from_robot: Pose2 | None
+    status: Status
+    reason: str = ""
+    fragment: int = -1
+    covariance: Float64Array | None = None
+    inliers: int = 0
+    score: float = float("nan")
+    revised: tuple[int, ...] = field(default=())
+    odom_from_robot: Pose2 | None = None
+    rocking: Rocking | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FloorMap:
+    """What a finished drive leaves behind to find oneself by.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        Of the camera that made it.
+    features : FeatureOptions
+        How its points were found; a frame to be located is treated alike.
+    metres_per_pixel : float
+        Of the views.
+    tilt_sigma_degrees : float
+        By how much the camera's pitch varied.
+    keyframes : tuple of Keyframe
+        Those that are placed.
+    estimates : tuple of PoseEstimate
+        One for every frame, in order.
+    links : tuple of Link
+        Between them; odometry's too.
+    """
+
+    calibration: Calibration
+    features: FeatureOptions
+    metres_per_pixel: float
+    tilt_sigma_degrees: float
+    keyframes: tuple[Keyframe, ...]
+    estimates: tuple[PoseEstimate, ...]
+    links: tuple[Link, ...]

@@ -1,0 +1,57 @@
+"""What the map is painted of, and what is painted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from slamcli.core.arrays import Float32Array, Int32Array, UInt8Array, UInt16Array
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.geometry import Grid, Pose2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """A frame that has its place, ready to be painted.
+
+    Attributes
+    ----------
+    index : int
+        Of the frame.
+    map_from_robot : Pose2
+    calibration : Calibration
+        Of this frame: its tilt and height may differ from the others'; the lens and the picture's
+        size may not.
+    """
+
+    index: int
+    map_from_robot: Pose2
+    calibration: Calibration
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tile:
+    """A painted piece of the map.
+
+    Attributes
+    ----------
+    grid : Grid
+        In the map frame.
+    image : (h, w, 3) uint8, BGR
+    sharpness : (h, w) float32
+        Pixels of a picture to a metre of floor, in the view that saw the floor best; 0 where
+        nothing was seen.
+    standing : (h, w, 4) uint8 BGRA or None
+        What is not floor: opaque where it stands, half transparent where it was for a time only;
+        None when there is nothing.
+    views : (h, w) uint16
+        How many frames saw the floor here, of those that were compared.
+    latest : (h, w) int32
+        Index of the last frame that did; -1 for none.
+    """
+
+    grid: Grid
+    image: UInt8Array
+    sharpness: Float32Array
+    standing: UInt8Array | None
+    views: UInt16Array
+    latest: Int32Array

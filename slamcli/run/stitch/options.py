@@ -1,0 +1,57 @@
+"""What `slam stitch` is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from slamcli.core.config import MapperOptions, ProductOptions
+from slamcli.core.telemetry import TelemetryOptions
+from slamcli.run.networks import NO_NETWORKS, NetworkFiles
+
+
+@dataclass(frozen=True, slots=True)
+class StitchOptions:
+    """What `slam stitch` was told.
+
+    Attributes
+    ----------
+    mapper : MapperOptions
+    telemetry : TelemetryOptions
+    networks : NetworkFiles
+    products : ProductOptions
+        What is painted and written.
+    max_range_metres : float or None
+        Overrides the calibration's far limit.
+    frame_rate : float or None
+        Frames per second, for stamps.
+    self_calibrate : bool
+        Refine the camera by the frames themselves, where they determine it.
+    debug : bool
+        Also draw every frame's matches.
+    export : tuple of str
+        What else to write; see `slamcli.run.stitch.exports`.
+    extend : Path or None
+        A finished map that is gone on with.
+    resume : bool
+        Go on with what an earlier run of the same kind, cut off, has left.
+    workers : int
+        Threads.
+    scheduler : str
+        Address of a Dask scheduler whose workers prepare frames and paint tiles instead; empty for
+        none.
+    """
+
+    mapper: MapperOptions
+    telemetry: TelemetryOptions = field(default_factory=TelemetryOptions)
+    networks: NetworkFiles = NO_NETWORKS
+    products: ProductOptions = field(default_factory=ProductOptions)
+    max_range_metres: float | None = None
+    frame_rate: float | None = None
+    self_calibrate: bool = False
+    debug: bool = False
+    export: tuple[str, ...] = ()
+    extend: Path | None = None
+    resume: bool = False
+    workers: int = 1
+    scheduler: str = ""
