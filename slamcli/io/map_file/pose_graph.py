@@ -134,8 +134,8 @@ def _check_frames(arrays: Mapping[str, AnyArray]) -> None:
     if np.isinf(numbers).any():
         raise MapError("its frames hold a number that is not finite")
     placed = np.isfinite(numbers[:, 1:4])
-    has_pose = np.not_equal(frames[:, 2], _STATUSES.index("lost"))
-    if not np.array_equal(placed.all(axis=1), has_pose) or placed.any(axis=1)[~has_pose].any():
+    has_pose = frames[:, 2] != _STATUSES.index("lost")
+    if not np.array_equal(placed.all(axis=1), has_pose) or placed[~has_pose].any():
         raise MapError("a placed frame has no pose, or a lost one has")
     _check_poses(numbers[has_pose, 1:3], arrays["frame_covariances"][has_pose])
     tilted = np.isfinite(numbers[:, 5:])

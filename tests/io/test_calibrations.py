@@ -15,7 +15,7 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.errors import CalibrationError
 from slamcli.io.calibrations import Origin, load_calibration, load_intrinsics, save_calibration
 
-SAMPLES = Path(__file__).resolve().parent.parent / "calibration"
+SAMPLES = Path(__file__).resolve().parent.parent.parent / "calibration"
 
 
 def example(**changes: object) -> Calibration:
