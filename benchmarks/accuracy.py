@@ -76,7 +76,7 @@ def stitch(folder: Path, mapping: str) -> Trajectory:
     if not (output / "poses.csv").exists():
         made = ("-c", str(folder / "camera.yaml"), "-o", str(output), MAPPINGS[mapping])
         # The mosaic is not what is measured.
-        small = ("--metres-per-pixel", "0.01", "--no-standing", "--no-gain")
+        small = ("--metres-per-pixel", "0.01", "--no-obstacles", "--no-gain")
         run("stitch", str(folder / "frames"), *made, *small)
     return read_trajectory(output / "poses.csv")
 

@@ -19,10 +19,10 @@ from scipy.spatial import KDTree
 
 from slamcli.core.camera import projection
 from slamcli.core.geometry import Pose2, pose_array
-from slamcli.core.records import Features, Link, Prepared
+from slamcli.core.records import Features, Link, PreparedFrame
 from slamcli.core.telemetry import CompassReading, GpsReading
-from slamcli.mapping.backend.backend import Graph
-from slamcli.mapping.backend.sensors import Senses
+from slamcli.mapping.backend.backend import Backend
+from slamcli.mapping.backend.sensors import Sensors
 from slamcli.stages import covisibility
 from slamcli.stages.place_index import PlaceIndex
 
@@ -91,26 +91,26 @@ class World:
         motion = self.poses[a].inverse() @ self.poses[b] @ Pose2(*noise.tolist())
         return Link(a, b, motion, np.diag(SIGMAS**2), 100, 0.9, kind)  # type: ignore[arg-type]
 
-    def feel(self, senses: Senses, index: int) -> None:
+    def feel(self, sensors: Sensors, index: int) -> None:
         """Give a compass's and a GPS reading of a frame."""
         generator = np.random.default_rng([3, index])
         pose, stamp = self.poses[index], index / FRAMES_A_SECOND
         heading = pose.theta + generator.normal(0, math.radians(3))
-        senses.compass(CompassReading(stamp, heading, math.radians(3)))
+        sensors.compass(CompassReading(stamp, heading, math.radians(3)))
         east, north = np.array([pose.x, pose.y]) + generator.normal(0, 2.0, 2)
-        senses.gps(GpsReading(stamp, north / METRES_A_DEGREE, east / METRES_A_DEGREE, 2.0))
+        sensors.gps(GpsReading(stamp, north / METRES_A_DEGREE, east / METRES_A_DEGREE, 2.0))
 
 
-def drive(world: World, graph: Graph) -> list[Cost]:
+def drive(world: World, graph: Backend) -> list[Cost]:
     """Return what each frame costs, as it comes."""
     index, costs = PlaceIndex(), []
     for number in range(len(world.poses)):
         features = world.look(number)
-        prepared = Prepared(number, str(number), number / FRAMES_A_SECOND, None, features, "")
+        prepared = PreparedFrame(number, str(number), number / FRAMES_A_SECOND, None, features, "")
         links = [world.link(a, number) for a in range(max(0, number - 3), number)]
-        world.feel(graph.senses, number)
+        world.feel(graph.sensors, number)
         started = time.process_time()
-        index.recall(features, frozenset(range(number - 5, number)))
+        index.query(features, frozenset(range(number - 5, number)))
         index.add(number, features)
         between = time.process_time()
         if links:
@@ -121,11 +121,11 @@ def drive(world: World, graph: Graph) -> list[Cost]:
     return costs
 
 
-def stream(world: World, graph: Graph) -> list[float]:
+def stream(world: World, graph: Backend) -> list[float]:
     """Return the seconds that each frame's poses cost where loops are closed as they come."""
     a_lane, costs = round(LANE_LENGTH_METRES / STEP_METRES), []
     for number in range(len(world.poses)):
-        prepared = Prepared(number, str(number), None, None, None, "")
+        prepared = PreparedFrame(number, str(number), None, None, None, "")
         links = [world.link(a, number) for a in range(max(0, number - 3), number)]
         loops = []
         if number >= a_lane and number % LOOP_EVERY == 0:
@@ -142,7 +142,7 @@ def stream(world: World, graph: Graph) -> list[float]:
     return costs
 
 
-def close(world: World, graph: Graph) -> tuple[int, float]:
+def close(world: World, graph: Backend) -> tuple[int, float]:
     """Link what the poses say sees the same floor; return how many candidates, and the seconds."""
     started = time.process_time()
     calibration = projection.top_down_calibration((128, 128))
@@ -154,8 +154,8 @@ def close(world: World, graph: Graph) -> tuple[int, float]:
         np.array([(link.a, link.b) for link in graph.links]),
         np.full(len(graph.links), 0.1),
         covisibility.Footprint(calibration),
-        least_overlap=0.2,
-        most_uncertainty=100.0,
+        min_overlap=0.2,
+        max_uncertainty=100.0,
     )
     candidates, loops = 0, []
     for pairs in found:
@@ -179,7 +179,7 @@ def main() -> None:
     count = parser.parse_args().frames
     world = World(lawnmower(count))
     base = peak_megabytes()
-    graph = Graph(Senses())
+    graph = Backend(Sensors())
     costs = drive(world, graph)
     print(f"| frames | ms a frame, places | poses | worst of a frame |\n{'|---' * 4}|")
     tenth = max(1, count // 10)
@@ -199,7 +199,7 @@ def main() -> None:
     print(f"candidates by poses: {candidates} in {search:.1f} s")
     print(f"{len(graph.links)} links and {2 * count} readings solved, covariances: {solve:.1f} s")
     print(f"whole back-end: {total:.1f} s; peak memory {peak_megabytes() - base:.0f} MB")
-    streamed = np.array(stream(world, Graph())) * 1e3
+    streamed = np.array(stream(world, Backend())) * 1e3
     print(f"\n| frames | ms a frame, loops closed as they come | worst |\n{'|---' * 3}|")
     for first in range(0, count, tenth):
         some = streamed[first : first + tenth]

@@ -23,7 +23,7 @@ from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import PaintOptions
 from slamcli.core.geometry import Grid, Pose2
-from slamcli.core.records import Frame, Shot
+from slamcli.core.records import Frame, PosedFrame
 from slamcli.io.calibrations import load_calibration
 from slamcli.io.frames import list_frames, read_frame
 from slamcli.simulation import floors, photograph
@@ -34,9 +34,9 @@ from slamcli.stages.mosaic.painter import Painter
 
 THINGS_SHARE = 0.15
 # A frame shows something when so much of it differs by more than noise does.
-_DIFFERENT_GRAY, _LEAST_SHARE = 12, 0.002
+_DIFFERENT_GRAY, _MIN_SHARE = 12, 0.002
 # Rays from afar see so little that they would drown what blends differ by.
-_LEAST_SHARPNESS_SHARE = 0.12
+_MIN_SHARPNESS_SHARE = 0.12
 _ENOUGH_VIEWS = 2
 
 
@@ -45,7 +45,7 @@ class Drive:
     """A simulated drive in memory."""
 
     calibration: Calibration
-    shots: list[Shot]
+    shots: list[PosedFrame]
     frames: list[Frame]
 
 
@@ -54,7 +54,7 @@ def load(folder: Path) -> Drive:
     calibration = load_calibration(folder / "camera.yaml")
     rows = list(csv.DictReader((folder / "truth.csv").open()))
     poses = [Pose2(float(row["x"]), float(row["y"]), float(row["heading"])) for row in rows]
-    shots = [Shot(number, pose, calibration) for number, pose in enumerate(poses)]
+    shots = [PosedFrame(number, pose, calibration) for number, pose in enumerate(poses)]
     return Drive(calibration, shots, [read_frame(file) for file in list_frames([folder])])
 
 
@@ -142,7 +142,7 @@ def mixed(clean: list[Frame], things: list[Frame]) -> list[Frame]:
     for number, (plain, other) in enumerate(zip(clean, things, strict=True)):
         differs = cv2.absdiff(plain.image, other.image).max(axis=2) > _DIFFERENT_GRAY
         solid = cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_OPEN, around)
-        if solid.mean() > _LEAST_SHARE:
+        if solid.mean() > _MIN_SHARE:
             showing.append(number)
     count = round(THINGS_SHARE * len(clean))
     chosen = {showing[place * len(showing) // count] for place in range(min(count, len(showing)))}
@@ -161,9 +161,9 @@ def main() -> None:
     told = parser.parse_args()
     drive, scale = load(told.drive), told.metres_per_pixel
     frames = drive.frames
-    plain = PaintOptions(metres_per_pixel=scale, blend="mean", standing=False)
+    plain = PaintOptions(metres_per_pixel=scale, blend="mean", obstacles=False)
     grid, image, sharpness, views = paint(drive, frames, plain, None)
-    inside = sharpness > _LEAST_SHARPNESS_SHARE * sharpness.max()
+    inside = sharpness > _MIN_SHARPNESS_SHARE * sharpness.max()
     true = cv2.cvtColor(true_floor(drive, told.floor, grid), cv2.COLOR_BGR2GRAY).astype(np.float32)
     print("| blend | PSNR dB | SSIM | sharpness |\n|---|---|---|---|")
 
@@ -187,9 +187,9 @@ def main() -> None:
         print(f"{well.sum() / inside.sum():.0%} of the map is seen by {_ENOUGH_VIEWS} or more")
         best = PaintOptions(metres_per_pixel=scale)
         tell("best, no things, where so many see", paint(drive, frames, best, light)[1], well)
-        for standing in (True, False):
-            options = PaintOptions(metres_per_pixel=scale, standing=standing)
-            word = "kept out" if standing else "not kept out"
+        for obstacles in (True, False):
+            options = PaintOptions(metres_per_pixel=scale, obstacles=obstacles)
+            word = "kept out" if obstacles else "not kept out"
             picture = paint(drive, some, options, others)[1]
             tell(f"best, things {word}", picture)
             tell(f"best, things {word}, where so many see", picture, well)

@@ -192,7 +192,7 @@ def similarity(a: NDArray[np.float32], b: NDArray[np.float32], inside: NDArray[n
     return float(index[inside].mean())
 
 
-def compare(
+def register(
     frames: Path,
     calibration: Path,
     work: Path,
@@ -285,11 +285,11 @@ def main() -> None:
             here = work / str(count)
             here.mkdir()
             if told.folder is not None:
-                found = compare(told.folder, told.calibration, here, None, told.peers, told.limit)
+                found = register(told.folder, told.calibration, here, None, told.peers, told.limit)
             else:
                 frames, truth = begun(drive, count, here), true_floor(told.floor, drive, 0, count)
                 camera = drive / "camera.yaml"
-                found = compare(frames, camera, here, truth, told.peers, told.limit)
+                found = register(frames, camera, here, truth, told.peers, told.limit)
             print(table(found), flush=True)
             outcomes += found
     if told.json:

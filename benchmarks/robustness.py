@@ -35,7 +35,7 @@ FALSE_METRES, FALSE_DEGREES = 0.05, 2.0
 FLOOR_METRES_PER_PIXEL = 0.0005
 FRAME_RATE_HERTZ = 10.0
 RATIO = 0.75
-LEAST_INLIERS = 8
+MIN_INLIERS = 8
 ORIGIN = Pose2()
 QUIET = DisturbanceOptions()
 # All around this circle the camera sees some of the lines and squares.
@@ -261,12 +261,12 @@ def fit_partial_affine(
         return None
     pairs = matcher.knnMatch(now[1], before[1], k=2)
     good = [p[0] for p in pairs if len(p) == 2 and p[0].distance < RATIO * p[1].distance]
-    if len(good) < LEAST_INLIERS:
+    if len(good) < MIN_INLIERS:
         return None
     source = np.float32([now[0][m.queryIdx].pt for m in good])
     target = np.float32([before[0][m.trainIdx].pt for m in good])
     matrix, inliers = cv2.estimateAffinePartial2D(source, target, ransacReprojThreshold=3.0)
-    if matrix is None or inliers.sum() < LEAST_INLIERS:
+    if matrix is None or inliers.sum() < MIN_INLIERS:
         return None
     return np.vstack([matrix, [0.0, 0.0, 1.0]])
 

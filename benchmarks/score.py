@@ -23,7 +23,7 @@ from scipy.optimize import minimize
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame
 from slamcli.mapping.mapper import Mapper
-from slamcli.registration import Trial, compare, confidence
+from slamcli.registration import RegistrationResult, confidence, register
 from slamcli.stages import dense
 
 FLOORS = "course,asphalt,carpet,tiles,planks,terrazzo,bare,textureless-course,five-prints"
@@ -45,12 +45,12 @@ def comparisons(job: tuple[str, str, int]) -> tuple[str, list[tuple[NDArray[np.f
         mapper.prepare(Frame(index, f"{index:04d}", index / FRAME_RATE_HERTZ, image))
         for index, image in enumerate(images)
     ]
-    trials: list[Trial] = []
+    trials: list[RegistrationResult] = []
     for frame in prepared:
         mapper.step(frame)
         trials += mapper.trials
     trials += [
-        compare(first, second, None, calibration, mapper.options, window=dense.Window())
+        register(first, second, None, calibration, mapper.options, window=dense.SearchWindow())
         for apart in (1, FAR)
         for first, second in zip(prepared, prepared[apart:], strict=False)
     ]
@@ -59,7 +59,7 @@ def comparisons(job: tuple[str, str, int]) -> tuple[str, list[tuple[NDArray[np.f
     ]
 
 
-def is_right(trial: Trial, truth: list[Pose2]) -> bool:
+def is_right(trial: RegistrationResult, truth: list[Pose2]) -> bool:
     """Return whether a trial's motion is near enough to the true one."""
     assert trial.fit is not None
     true = truth[trial.keyframe.index].inverse() @ truth[trial.prepared.index]

@@ -31,7 +31,7 @@ from scale import repeat
 from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Shot, Tile
+from slamcli.core.records import PosedFrame, Tile
 from slamcli.io.calibrations import load_calibration, save_calibration
 from slamcli.io.files import write_image
 from slamcli.io.frames import FrameFile, list_frames, read_frame
@@ -190,7 +190,7 @@ def measure(calibration: Calibration, files: list[FrameFile], scale: float) -> l
     bare_paint = median_milliseconds(
         lambda i: cv2.warpPerspective(frames[i].image, map_from_image[i], patch_size), count
     )
-    shots = [Shot(i, track[i], calibration) for i in range(count)]
+    shots = [PosedFrame(i, track[i], calibration) for i in range(count)]
     sources = [read_frame(file, halved=painter.halves) for file in files]
     pictures = [painter.picture(source, number) for number, source in enumerate(sources)]
     plan = painter.plan(shots)
@@ -204,7 +204,7 @@ def measure(calibration: Calibration, files: list[FrameFile], scale: float) -> l
     picture = np.vstack([tile.image for tile in tiles if tile is not None])
     mask = np.full(picture.shape[:2], 255, np.uint8)
     pixels = world_file.transparent(picture, mask)
-    encode = median_milliseconds(lambda _: png.compress(pixels), 3) / count
+    encode = median_milliseconds(lambda _: png.encode_keyframe(pixels), 3) / count
     bare_encode = median_milliseconds(lambda _: encode_png(pixels), 3) / count
     return [
         Row("decode JPEG in gray", gray, bare_gray),

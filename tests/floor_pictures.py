@@ -1,4 +1,4 @@
-"""Pictures of an asphalt-like floor with known motions between them, for tests."""
+"""FrameCache of an asphalt-like floor with known motions between them, for tests."""
 
 from __future__ import annotations
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from slamcli.core.errors import InputError
-from slamcli.core.networks import MatchNetwork, PointNetwork
+
+if TYPE_CHECKING:  # numpy, which `slam --help` need not wait for
+    from slamcli.core.networks import MatchNetwork, PointNetwork
 
 FeatureMethod = Literal["orb", "sift", "aliked", "disk"]
 TransformModel = Literal["rigid", "similarity", "affine", "homography"]
@@ -16,8 +18,8 @@ MapFormat = Literal["png", "geotiff", "deepzoom", "nav2"]
 Layer = Literal["resolution", "views", "last-frame"]
 Blend = Literal["best", "feather", "multiband", "median", "mean"]
 
-# Pictures enlarged more than this eat the memory and show nothing new.
-_MOST_ENLARGEMENT = 8.0
+# FrameCache enlarged more than this eat the memory and show nothing new.
+_MAX_ENLARGEMENT = 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +86,10 @@ class FeatureOptions:
                 f"a first level of {self.first_level} needs more than {self.levels} levels"
             )
         enlargement = self.scale_factor**self.first_level
-        if enlargement > _MOST_ENLARGEMENT:
+        if enlargement > _MAX_ENLARGEMENT:
             raise InputError(
                 f"a first level of {self.first_level} at a scale factor of {self.scale_factor:g} "
-                f"enlarges pictures {enlargement:.3g} times; at most {_MOST_ENLARGEMENT:g} is done"
+                f"enlarges pictures {enlargement:.3g} times; at most {_MAX_ENLARGEMENT:g} is done"
             )
 
 
@@ -237,7 +239,7 @@ class MapperOptions:
     max_rival_evidence: float = 0.75
     max_sigma_share: float = 0.015
     max_step_metres: float | None = None
-    most_hypotheses: int = 3
+    max_hypotheses: int = 3
     convincing_inliers: int = 120
     convincing_score: float = 0.5
     loops: bool = True
@@ -255,14 +257,14 @@ class PaintOptions:
         How the views of a spot become one colour.
     gain : bool
         Even out exposure and vignetting.
-    standing : bool
+    obstacles : bool
         Keep what stands on the floor or moved out of it, where another view saw the floor.
     """
 
     metres_per_pixel: float | None = None
     blend: Blend = "best"
     gain: bool = True
-    standing: bool = True
+    obstacles: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from slamcli.core.arrays import Float64Array
 from slamcli.core.errors import InputError
-from slamcli.core.geometry import Pose2
+
+if TYPE_CHECKING:  # numpy, which `slam --help` need not wait for
+    from slamcli.core.arrays import Float64Array
+    from slamcli.core.geometry import Pose2
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +126,7 @@ class TelemetryOptions:
     odometry_radians: float = 0.0005
     odometry_memory_metres: float = 10.0
     memory_seconds: float = 1.0
-    longest_gap_seconds: float = 0.5
+    max_gap_seconds: float = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)

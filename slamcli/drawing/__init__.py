@@ -1,1 +1,1 @@
-"""Pictures that show why: each takes what a stage made and returns pixels."""
+"""FrameCache that show why: each takes what a stage made and returns pixels."""

@@ -15,7 +15,7 @@ from slamcli.core.geometry import Grid, apply_homography
 from slamcli.core.records import View
 
 PANEL_HEIGHT_PIXELS = 760
-_MOST_PHOTO_WIDTH_PIXELS = 1150
+_MAX_PHOTO_WIDTH_PIXELS = 1150
 _MARGIN_PIXELS = 24
 _AXIS_PIXELS = 62
 _CAPTION_LINE_PIXELS = 26
@@ -89,7 +89,7 @@ def draw_calibration(
 def _draw_photo(photo: UInt8Array, outline: Float64Array, calibration: Calibration) -> UInt8Array:
     """Shade what is not used, and draw the target, the far limit and the horizon."""
     height, width = photo.shape[:2]
-    factor = min(PANEL_HEIGHT_PIXELS / height, _MOST_PHOTO_WIDTH_PIXELS / width)
+    factor = min(PANEL_HEIGHT_PIXELS / height, _MAX_PHOTO_WIDTH_PIXELS / width)
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
     size = (round(width * factor), round(height * factor))
     canvas = np.asarray(cv2.resize(photo, size, interpolation=method), dtype=np.uint8)

@@ -17,10 +17,10 @@ _BACKGROUND_GRAY = 245
 _TEXT_COLOUR = (30, 30, 30)
 _LINE_HEIGHT = 24
 _GAP = 8
-_MOST_COLUMNS = 2400
-_LEAST_PANEL_HEIGHT = 360
+_MAX_COLUMNS = 2400
+_MIN_PANEL_HEIGHT = 360
 # More lines than this hide the pictures; the header tells how many there are in all.
-_MOST_LINES = 100
+_MAX_LINES = 100
 _SHIFT = 4
 
 
@@ -102,7 +102,7 @@ def _laid_upon(
 def _scale(panels: Sequence[UInt8Array]) -> float:
     columns = sum(panel.shape[1] for panel in panels) + _GAP * (len(panels) - 1)
     rows = max(panel.shape[0] for panel in panels)
-    return float(min(max(1.0, _LEAST_PANEL_HEIGHT / rows), _MOST_COLUMNS / columns))
+    return float(min(max(1.0, _MIN_PANEL_HEIGHT / rows), _MAX_COLUMNS / columns))
 
 
 def _resized(image: UInt8Array, scale: float) -> UInt8Array:
@@ -118,7 +118,7 @@ def _draw_lines(
     colour: tuple[int, int, int],
     thickness: int,
 ) -> None:
-    step = max(1, -(-len(starts) // _MOST_LINES))
+    step = max(1, -(-len(starts) // _MAX_LINES))
     for start, end in zip(starts[::step], ends[::step], strict=True):
         a, b = (tuple(int(v) for v in np.round(place)) for place in (start, end))
         cv2.line(canvas, a, b, colour, thickness, cv2.LINE_AA)

@@ -11,7 +11,7 @@ _TINT = np.array([40.0, 40.0, 255.0])
 _SHARE = 0.5
 
 
-def draw_standing(
+def draw_obstacles(
     image: UInt8Array, cells: BoolArray, cells_from_pixel: Float64Array
 ) -> UInt8Array:
     """Return the picture with the marked cells tinted.

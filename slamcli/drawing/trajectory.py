@@ -13,13 +13,13 @@ from slamcli.core.camera.calibration import Unit
 from slamcli.core.geometry import Grid, apply_homography
 from slamcli.core.records import PoseEstimate
 
-LONGEST_SIDE_PIXELS = 1600
+MAX_SIDE_PIXELS = 1600
 _MARGIN_SHARE = 0.04
 _PATH_COLOUR = (60, 60, 230)
 _START_COLOUR = (70, 170, 40)
 _TEXT_COLOUR = (30, 30, 30)
 _BACKGROUND_GRAY = 245
-_MOST_LABELS = 12
+_MAX_LABELS = 12
 
 
 def draw_trajectory(
@@ -53,7 +53,7 @@ def draw_trajectory(
         lineType=cv2.LINE_AA,
     )
     arrow = 0.03 * max(view_grid.width, view_grid.height)
-    step = max(1, math.ceil(len(estimates) / _MOST_LABELS))
+    step = max(1, math.ceil(len(estimates) / _MAX_LABELS))
     for number, (estimate, pose, pixel) in enumerate(zip(estimates, poses, pixels, strict=True)):
         start = _rounded(pixel)
         cv2.circle(canvas, start, 3, _PATH_COLOUR, -1, cv2.LINE_AA)
@@ -70,7 +70,7 @@ def _grid_around(points: Float64Array) -> Grid:
     low, high = points.min(axis=0), points.max(axis=0)
     margin = _MARGIN_SHARE * float((high - low).max())
     corners = np.array([low - margin, high + margin])
-    return Grid.covering(corners, float(np.ptp(corners, axis=0).max()) / LONGEST_SIDE_PIXELS)
+    return Grid.covering(corners, float(np.ptp(corners, axis=0).max()) / MAX_SIDE_PIXELS)
 
 
 def _paled(image: UInt8Array, mask: UInt8Array, grid: Grid, view_grid: Grid) -> UInt8Array:

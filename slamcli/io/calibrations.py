@@ -27,7 +27,7 @@ _AGREEMENT = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Origin:
+class CalibrationSource:
     """What a calibration was made from; kept in its file for the reader.
 
     Attributes
@@ -102,7 +102,7 @@ def load_calibration(path: str | Path) -> Calibration:
     )
 
 
-def load_origin(path: str | Path) -> Origin | None:
+def load_origin(path: str | Path) -> CalibrationSource | None:
     """Return what a calibration file says it was made from; None where it does not say.
 
     Raises
@@ -114,7 +114,7 @@ def load_origin(path: str | Path) -> Origin | None:
     made_from = ground.get("made_from") if isinstance(ground, dict) else None
     if not isinstance(made_from, dict) or not {"side_metres", "corners"} <= made_from.keys():
         return None
-    return Origin(
+    return CalibrationSource(
         str(made_from.get("photo", "")),
         str(made_from.get("target", "")),
         _number(made_from, "side_metres", path),
@@ -134,12 +134,14 @@ def load_intrinsics(path: str | Path) -> Intrinsics:
     return _parse_intrinsics(_read_document(path, "camera_info"), path)
 
 
-def save_calibration(path: Path, calibration: Calibration, origin: Origin | None = None) -> None:
+def save_calibration(
+    path: Path, calibration: Calibration, origin: CalibrationSource | None = None
+) -> None:
     """Write a calibration whole or not at all; `load_calibration` returns the same numbers."""
     write_text(path, calibration_text(calibration, origin))
 
 
-def calibration_text(calibration: Calibration, origin: Origin | None = None) -> str:
+def calibration_text(calibration: Calibration, origin: CalibrationSource | None = None) -> str:
     """Return the YAML document of a calibration, with a comment on every number's unit."""
     width, height = calibration.image_size
     matrix = calibration.camera_matrix
@@ -181,7 +183,7 @@ def calibration_text(calibration: Calibration, origin: Origin | None = None) -> 
     )
 
 
-def _origin_lines(origin: Origin | None) -> list[str]:
+def _origin_lines(origin: CalibrationSource | None) -> list[str]:
     if origin is None:
         return []
     corners = ", ".join(f"[{_text(x)}, {_text(y)}]" for x, y in np.round(origin.corners, 4))

@@ -19,7 +19,7 @@ from slamcli.core.records import Frame
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
 )
-SMALLEST_SIDE_PIXELS = 16
+MIN_SIDE_PIXELS = 16
 # A name such as 1446412345.250 is the time of capture in seconds since 1970 (TUM's convention).
 _EPOCH_NAME = re.compile(r"\d{9,10}\.\d+|\d{10}")
 
@@ -171,7 +171,7 @@ def _decode(path: Path, kind: int = cv2.IMREAD_COLOR_BGR) -> tuple[UInt8Array, U
     times = 2 if kind == cv2.IMREAD_REDUCED_COLOR_2 else 1
     image = np.asarray(decoded) if whole else _decode_strictly(data, times)
     height, width = times * image.shape[0], times * image.shape[1]
-    if min(height, width) < SMALLEST_SIDE_PIXELS:
+    if min(height, width) < MIN_SIDE_PIXELS:
         raise FrameError(f"{width}x{height} pixels is too small to show a floor")
     return np.asarray(image, dtype=np.uint8), _transparency(data)
 

@@ -24,7 +24,7 @@ _DISK_SIZE = (1024, 1024)
 # DISK halves its picture four times.
 _DISK_STRIDE = 16
 # LightGlue's own: a less sure pair is none.
-_LEAST_CONFIDENCE = 0.1
+_MIN_CONFIDENCE = 0.1
 
 
 def load_point_network(
@@ -76,7 +76,7 @@ def load_match_network(path: Path) -> MatchNetwork:
     """
     _check_file(path)
     try:
-        return _LightGlue(path, cv2.LightGlueMatcher.create(str(path), _LEAST_CONFIDENCE))
+        return _LightGlue(path, cv2.LightGlueMatcher.create(str(path), _MIN_CONFIDENCE))
     except cv2.error as error:
         raise InputError(_unreadable(path, error)) from error
 

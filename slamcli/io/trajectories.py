@@ -20,7 +20,7 @@ _X, _Y = ("x", "px", "tx"), ("y", "py", "ty")
 _NAMES = ("frame", "name", "file", "filename")
 _SIGMAS = (("sigma_x",), ("sigma_y",), ("sigma_heading", "sigma_theta", "sigma_yaw"))
 # A robot on a floor leans less than this; more means that z does not point up.
-_MOST_LEAN_DEGREES = 15.0
+_MAX_LEAN_DEGREES = 15.0
 
 
 def read_trajectory(path: Path) -> Trajectory:
@@ -151,11 +151,11 @@ def _poses_of_matrices(
 
 
 def _refuse_lean(path: Path, up: Float64Array, lines: list[tuple[int, str]]) -> None:
-    leaning = up < math.cos(math.radians(_MOST_LEAN_DEGREES))
+    leaning = up < math.cos(math.radians(_MAX_LEAN_DEGREES))
     if leaning.any():
         number = lines[int(np.argmax(leaning))][0]
         raise InputError(
-            f"{path}, line {number}: the pose leans by more than {_MOST_LEAN_DEGREES:g} degrees; "
+            f"{path}, line {number}: the pose leans by more than {_MAX_LEAN_DEGREES:g} degrees; "
             "z must point up from the floor"
         )
 

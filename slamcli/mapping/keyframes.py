@@ -16,15 +16,15 @@ import numpy as np
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid
-from slamcli.core.records import Keyframe, Prepared
+from slamcli.core.records import Keyframe, PreparedFrame
 from slamcli.stages import dense
 
 _JPEG_QUALITY = 90
 # An expanded keyframe takes some megabytes; a few stand ready. Most cameras' views have one mask.
-_MOST_READY, _MOST_MASKS = 16, 4
+_MAX_READY, _MAX_MASKS = 16, 4
 
 
-def compress(prepared: Prepared) -> Keyframe:
+def encode_keyframe(prepared: PreparedFrame) -> Keyframe:
     """Return a prepared frame, which has features and levels, as it is kept."""
     assert prepared.features is not None
     features, first = prepared.features, prepared.levels[0]
@@ -45,7 +45,7 @@ def compress(prepared: Prepared) -> Keyframe:
     )
 
 
-class Expander:
+class KeyframeCache:
     """Makes keyframes ready to be compared again, the latest few only once; threads may share it.
 
     A copy or a saved state begins with none of them ready: they are much larger than what they are
@@ -59,13 +59,13 @@ class Expander:
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
-        stencils = lru_cache(maxsize=_MOST_MASKS)(partial(_stencils, grid))
-        self._ready = lru_cache(maxsize=_MOST_READY)(partial(_expand, grid, stencils))
+        stencils = lru_cache(maxsize=_MAX_MASKS)(partial(_stencils, grid))
+        self._ready = lru_cache(maxsize=_MAX_READY)(partial(_expand, grid, stencils))
 
-    def __reduce__(self) -> tuple[type[Expander], tuple[Grid]]:
-        return Expander, (self.grid,)
+    def __reduce__(self) -> tuple[type[KeyframeCache], tuple[Grid]]:
+        return KeyframeCache, (self.grid,)
 
-    def expand(self, keyframe: Keyframe) -> Prepared:
+    def decode(self, keyframe: Keyframe) -> PreparedFrame:
         """Return a keyframe with its pyramid, but without its view.
 
         Raises
@@ -77,8 +77,8 @@ class Expander:
 
 
 def _expand(
-    grid: Grid, stencils_of: Callable[[bytes], Sequence[dense.Stencil]], keyframe: Keyframe
-) -> Prepared:
+    grid: Grid, stencils_of: Callable[[bytes], Sequence[dense.LevelMask]], keyframe: Keyframe
+) -> PreparedFrame:
     image, stencils = _decode(keyframe.image, grid), stencils_of(keyframe.mask)
     if image is None or not stencils:
         raise FrameError(f"keyframe {keyframe.name}: its pictures cannot be used")
@@ -86,7 +86,7 @@ def _expand(
     features = keyframe.features
     if features.norm == "l2":
         features = replace(features, descriptors=features.descriptors.astype(np.float32))
-    return Prepared(
+    return PreparedFrame(
         keyframe.index,
         keyframe.name,
         keyframe.stamp,
@@ -97,7 +97,7 @@ def _expand(
     )
 
 
-def _stencils(grid: Grid, encoded: bytes) -> tuple[dense.Stencil, ...]:
+def _stencils(grid: Grid, encoded: bytes) -> tuple[dense.LevelMask, ...]:
     """Return the stencils of a keyframe's mask; none when it cannot be used."""
     mask = _decode(encoded, grid)
     return () if mask is None else dense.stencils_from_half(mask)

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.config import MapperOptions
-from slamcli.core.records import FloorMap, Frame, PoseEstimate, Prepared
-from slamcli.mapping.backend.backend import Graph, lost
+from slamcli.core.records import FloorMap, Frame, PoseEstimate, PreparedFrame
+from slamcli.mapping.backend.backend import Backend, lost
 from slamcli.mapping.mapper import Mapper
-from slamcli.mapping.relocalization import Recogniser
+from slamcli.mapping.relocalization import Relocalizer
 
 
 class Locator:
@@ -30,10 +30,10 @@ class Locator:
             tilt_sigma_degrees=floor_map.tilt_sigma_degrees,
         )
         self._mapper = Mapper(floor_map.calibration, options)
-        self._known = Recogniser(floor_map.calibration, options, self._mapper.grid)
-        self._graph = Graph()
+        self._known = Relocalizer(floor_map.calibration, options, self._mapper.grid)
+        self._graph = Backend()
         for keyframe in floor_map.keyframes:
-            self._known.keep(keyframe)
+            self._known.add(keyframe)
         for estimate in floor_map.estimates:
             self._graph.adopt(estimate)
         self._count = 0
@@ -56,16 +56,16 @@ class Locator:
             self._count += 1
         return self.place(self.prepare(frame))
 
-    def prepare(self, frame: Frame) -> Prepared:
+    def prepare(self, frame: Frame) -> PreparedFrame:
         """Compute all that needs no map; may run ahead on any thread. Never raises."""
         return self._mapper.prepare(frame)
 
-    def place(self, prepared: Prepared) -> PoseEstimate:
+    def place(self, prepared: PreparedFrame) -> PoseEstimate:
         """Look a prepared frame up."""
         if prepared.features is None:
             return lost(prepared, prepared.reason)
-        places = self._known.recall(prepared.features)
-        found = self._known.believe(prepared, places, self._graph)
+        places = self._known.query(prepared.features)
+        found = self._known.verify(prepared, places, self._graph)
         if found.trial is None or found.trial.link is None:
             return lost(prepared, found.reason)
-        return self._graph.where(prepared, [found.trial.link])
+        return self._graph.predict_pose(prepared, [found.trial.link])

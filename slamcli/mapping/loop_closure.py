@@ -19,14 +19,14 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Grid, Pose2, invert, path_length, pose_array
-from slamcli.core.records import Keyframe, Link, Prepared
-from slamcli.mapping.backend.backend import Graph
-from slamcli.mapping.keyframes import compress
-from slamcli.mapping.relocalization import Recogniser, Recognition
+from slamcli.core.records import Keyframe, Link, PreparedFrame
+from slamcli.mapping.backend.backend import Backend
+from slamcli.mapping.keyframes import encode_keyframe
+from slamcli.mapping.relocalization import Relocalization, Relocalizer
 from slamcli.stages import covisibility, posegraph
-from slamcli.stages.place_index import Place
+from slamcli.stages.place_index import PlaceCandidate
 
-Attempts = Sequence["_Attempt"]
+Attempts = Sequence["_LoopCandidate"]
 Spread = Callable[[Callable[[Attempts], list[Link]], Iterable[Attempts]], Iterable[list[Link]]]
 
 # Of the way between two frames: what a calibration's errors add to it, which no link's covariance
@@ -37,17 +37,17 @@ _GUESS_SHARE_OF_RANGE = 0.1
 _GUESS_SIGMAS = 2.0
 # A motion farther from what the poses say (chi-squared, 3 degrees of freedom, one in ten thousand)
 # is not believed, whatever the pixels say.
-_MOST_CONTRADICTION = 21.1
-_LEAST_OVERLAP = 0.2
+_MAX_CONTRADICTION = 21.1
+_MIN_OVERLAP = 0.2
 # So many loops are tried for a keyframe in a round, and none beside one that is closed already.
-_MOST_TRIED = 3
+_MAX_TRIED = 3
 _BESIDE = 1
 _SAME_RADIANS = 0.1
 # Pairs are listed for so many keyframes at a time.
 _LISTED = 64
 
 
-class _Attempt(NamedTuple):
+class _LoopCandidate(NamedTuple):
     """Two keyframes to be compared, ``a_from_b`` as the poses have it, and how far to trust it."""
 
     a: int
@@ -57,7 +57,7 @@ class _Attempt(NamedTuple):
     guess: Pose2
 
 
-class Loops:
+class LoopCloser:
     """Keeps a drive's keyframes and ties those that saw the same floor at different times.
 
     Parameters
@@ -73,11 +73,11 @@ class Loops:
         self._range = calibration.max_range_metres
         self._reach = _GUESS_SHARE_OF_RANGE * calibration.max_range_metres
         self._footprint = covisibility.Footprint(calibration)
-        self._known = Recogniser(calibration, options, grid)
-        self._recalled: dict[int, list[Place]] = {}
+        self._known = Relocalizer(calibration, options, grid)
+        self._candidates: dict[int, list[PlaceCandidate]] = {}
         self._asked: set[int] = set()
-        self._ways: dict[int, float] = {}
-        self._ties = _Ties(self._known)
+        self._path_lengths: dict[int, float] = {}
+        self._linked = _LinkedKeyframes(self._known)
         self._adopted: set[int] = set()
         self._failed: dict[tuple[int, int], Pose2] = {}
 
@@ -86,86 +86,88 @@ class Loops:
         """All that are kept, in the order of their making."""
         return self._known.keyframes
 
-    def remember(self, prepared: Prepared) -> None:
+    def add(self, prepared: PreparedFrame) -> None:
         """Keep one more keyframe, and what it recalls of those before the latest few."""
         if prepared.index in self._known:
             return
-        keyframe = compress(prepared)
-        recalled = self._known.recall(keyframe.features, self._latest())
-        if recalled:
-            self._recalled[keyframe.index] = recalled
-        self._known.keep(keyframe)
+        keyframe = encode_keyframe(prepared)
+        candidates = self._known.query(keyframe.features, self._latest())
+        if candidates:
+            self._candidates[keyframe.index] = candidates
+        self._known.add(keyframe)
 
-    def adopt(self, keyframe: Keyframe) -> None:
+    def add_known(self, keyframe: Keyframe) -> None:
         """Keep a keyframe of a finished map, whose own loops are closed."""
-        self._known.keep(keyframe)
+        self._known.add(keyframe)
         self._asked.add(keyframe.index)
         self._adopted.add(keyframe.index)
 
-    def recognise(self, prepared: Prepared, graph: Graph, *, after_break: bool) -> Recognition:
+    def relocalize(
+        self, prepared: PreparedFrame, graph: Backend, *, after_break: bool
+    ) -> Relocalization:
         """Find the place of a frame of which no pose is known.
 
         Parameters
         ----------
-        prepared : Prepared
-        graph : Graph
+        prepared : PreparedFrame
+        graph : Backend
         after_break : bool
             Whether the frame before was lost too. If not, the latest keyframes are not asked: the
             frame has just been compared with them, and no robot turns about between two frames.
         """
         assert prepared.features is not None
         excluded = frozenset() if after_break else self._latest()
-        places = self._known.recall(prepared.features, excluded)
-        return self._known.believe(prepared, places, graph)
+        places = self._known.query(prepared.features, excluded)
+        return self._known.verify(prepared, places, graph)
 
-    def rejoin(self, prepared: Prepared, graph: Graph) -> Recognition:
+    def join_fragments(self, prepared: PreparedFrame, graph: Backend) -> Relocalization:
         """Find the place of a new keyframe in another fragment than its own."""
         assert prepared.features is not None
         fragment = graph[prepared.index].fragment
-        recalled = self._recalled.get(prepared.index, [])
+        candidates = self._candidates.get(prepared.index, [])
         if any(graph[index].fragment != fragment for index in self._latest()):
-            recalled = self._known.recall(prepared.features, frozenset([prepared.index]))
-        places = [place for place in recalled if graph[place.keyframe].fragment != fragment]
-        return self._known.believe(prepared, places, graph)
+            candidates = self._known.query(prepared.features, frozenset([prepared.index]))
+        places = [place for place in candidates if graph[place.keyframe].fragment != fragment]
+        return self._known.verify(prepared, places, graph)
 
-    def recur(self, keyframe: Prepared, graph: Graph) -> Link | None:
+    def close_on_arrival(self, keyframe: PreparedFrame, graph: Backend) -> Link | None:
         """Return the loop that the latest keyframe, as placed, closes with floor that it recalls.
 
         Only the likeliest place is compared, where no link ties it to the keyframe already: that
         costs the same on a large map as on a small one.
         """
         b, fragment = keyframe.index, graph[keyframe.index].fragment
-        self._ways[b] = self._way_to(b, graph)
-        self._ties.update(graph.links)
-        for place in self._recalled.get(b, [])[:1]:
+        self._path_lengths[b] = self._way_to(b, graph)
+        self._linked.update(graph.links)
+        for place in self._candidates.get(b, [])[:1]:
             a = place.keyframe
-            known = a in self._ways and graph.is_placed(a) and graph[a].fragment == fragment
-            if known and not self._ties.beside(a, b):
-                way = self._ways[b] - self._ways[a]
-                return self._attempt(self._resembling(place, b, way, graph))
+            known = a in self._path_lengths and graph.is_placed(a) and graph[a].fragment == fragment
+            if known and not self._linked.beside(a, b):
+                way = self._path_lengths[b] - self._path_lengths[a]
+                return self._verify(self._resembling(place, b, way, graph))
         return None
 
-    def _way_to(self, keyframe: int, graph: Graph) -> float:
+    def _way_to(self, keyframe: int, graph: Backend) -> float:
         """Return the way driven up to the latest keyframe, as far as the poses then told."""
         before = self._known.before(keyframe)
-        if before is None or before not in self._ways:
+        if before is None or before not in self._path_lengths:
             return 0.0
         step = 0.0
         if graph.is_placed(before) and graph[before].fragment == graph[keyframe].fragment:
             step = (graph.pose(before).inverse() @ graph.pose(keyframe)).translation_length
-        return self._ways[before] + step
+        return self._path_lengths[before] + step
 
-    def close(self, graph: Graph, spread: Spread = map) -> list[Link]:
+    def find_loops(self, graph: Backend, spread: Spread = map) -> list[Link]:
         """Return the loops that one round finds by the graph's poses as they are.
 
         Parameters
         ----------
-        graph : Graph
+        graph : Backend
         spread : function
             Like `map`, such as an executor's. A keyframe's loops do not depend on those of others:
             only what it is tied to itself, among the older ones, is not asked for again.
         """
-        ties = _Ties(self._known)
+        ties = _LinkedKeyframes(self._known)
         found: list[Link] = []
         for attempts in (self._by_poses(graph), self._by_appearance(graph)):
             ties.update([*graph.links, *found])
@@ -175,13 +177,15 @@ class Loops:
                     found += links
         return found + self._between_fragments(graph)
 
-    def _close_one(self, ties: _Ties, attempts: Sequence[_Attempt]) -> list[Link]:
+    def _close_one(self, ties: _LinkedKeyframes, attempts: Sequence[_LoopCandidate]) -> list[Link]:
         """Return the loops of one keyframe, none beside another."""
         found: list[Link] = []
-        for attempt in attempts:
-            if {attempt.a, attempt.b} <= self._adopted or ties.beside(attempt.a, attempt.b, found):
+        for candidate in attempts:
+            if {candidate.a, candidate.b} <= self._adopted or ties.beside(
+                candidate.a, candidate.b, found
+            ):
                 continue
-            link = self._attempt(attempt)
+            link = self._verify(candidate)
             if link is not None:
                 found.append(link)
         return found
@@ -189,7 +193,7 @@ class Loops:
     def _latest(self) -> frozenset[int]:
         return frozenset(self._known.order[-self._recent :])
 
-    def _by_poses(self, graph: Graph) -> Iterator[_Attempt]:
+    def _by_poses(self, graph: Backend) -> Iterator[_LoopCandidate]:
         """Yield pairs that see the same floor, if the poses are right, and surely enough so."""
         for members in self._fragments(graph).values():
             numbers = {index: number for number, index in enumerate(members)}
@@ -200,40 +204,42 @@ class Loops:
                 tied,
                 np.array([_uncertainty(tie) for tie in ties]),
                 self._footprint,
-                least_overlap=_LEAST_OVERLAP,
-                most_uncertainty=self._reach / _GUESS_SIGMAS,
+                min_overlap=_MIN_OVERLAP,
+                max_uncertainty=self._reach / _GUESS_SIGMAS,
             )
             for pair in candidates:
                 b, tried = members[pair.b], 0
                 for a, motion, sigma in zip(pair.a, pair.a_from_b, pair.uncertainties, strict=True):
                     steps = self._known.steps_between(members[a], b)
-                    if steps <= self._recent or tried == _MOST_TRIED:
+                    if steps <= self._recent or tried == _MAX_TRIED:
                         continue
                     tried += 1
                     expected = Pose2(*map(float, motion))
                     covariance = self._doubt(float(sigma))
-                    yield _Attempt(members[a], b, expected, covariance, expected)
+                    yield _LoopCandidate(members[a], b, expected, covariance, expected)
 
-    def _by_appearance(self, graph: Graph) -> Iterator[_Attempt]:
+    def _by_appearance(self, graph: Backend) -> Iterator[_LoopCandidate]:
         """Yield pairs of one fragment that look alike, where drift does not rule them out."""
         for members in self._fragments(graph).values():
-            way = dict(zip(members, _ways([graph.pose(i) for i in members]), strict=True))
+            way = dict(zip(members, _path_lengths([graph.pose(i) for i in members]), strict=True))
             for b in members:
-                places = [p for p in self._recalled.get(b, []) if p.keyframe in way]
-                for place in places[:_MOST_TRIED]:
+                places = [p for p in self._candidates.get(b, []) if p.keyframe in way]
+                for place in places[:_MAX_TRIED]:
                     yield self._resembling(place, b, way[b] - way[place.keyframe], graph)
 
-    def _resembling(self, place: Place, b: int, way_metres: float, graph: Graph) -> _Attempt:
+    def _resembling(
+        self, place: PlaceCandidate, b: int, path_length_metres: float, graph: Backend
+    ) -> _LoopCandidate:
         """Return a keyframe and one that it recalls, so long a way before, as a pair to compare."""
         expected = graph.pose(place.keyframe).inverse() @ graph.pose(b)
         known, other = graph[place.keyframe].covariance, graph[b].covariance
         assert known is not None
         assert other is not None
-        drift = self._doubt(_DRIFT_SHARE * abs(way_metres))
+        drift = self._doubt(_DRIFT_SHARE * abs(path_length_metres))
         covariance = posegraph.compose_covariance(known, expected, other) + drift
-        return _Attempt(place.keyframe, b, expected, covariance, place.keyframe_from_now)
+        return _LoopCandidate(place.keyframe, b, expected, covariance, place.keyframe_from_now)
 
-    def _between_fragments(self, graph: Graph) -> list[Link]:
+    def _between_fragments(self, graph: Backend) -> list[Link]:
         """Return the loops that tie keyframes to places in other fragments."""
         if len(self._fragments(graph)) < 2:
             return []
@@ -242,12 +248,12 @@ class Loops:
         for index in self._known.order:
             if index not in self._asked and graph.is_placed(index):
                 self._asked.add(index)
-                found = self.rejoin(self._known.expand(index), graph).trial
+                found = self.join_fragments(self._known.decode(index), graph).trial
                 if found is not None and found.link is not None:
                     links.append(found.link)
         return links
 
-    def _fragments(self, graph: Graph) -> dict[int, list[int]]:
+    def _fragments(self, graph: Backend) -> dict[int, list[int]]:
         members: dict[int, list[int]] = {}
         for index in self._known.order:
             if graph.is_placed(index):
@@ -260,20 +266,20 @@ class Loops:
         turn = sigma / self._range
         return np.diag([sigma, sigma, turn]) ** 2
 
-    def _attempt(self, attempt: _Attempt) -> Link | None:
+    def _verify(self, candidate: _LoopCandidate) -> Link | None:
         """Compare two keyframes; None when nothing fits or it contradicts the poses."""
-        pair = attempt.a, attempt.b
+        pair = candidate.a, candidate.b
         failed = self._failed.get(pair)
-        if failed is not None and self._near(failed, attempt.guess):
+        if failed is not None and self._near(failed, candidate.guess):
             return None
-        trial = self._known.compare(attempt.a, self._known.expand(attempt.b), attempt.guess)
-        surprising = not self._near(attempt.expected, attempt.guess)
+        trial = self._known.register(candidate.a, self._known.decode(candidate.b), candidate.guess)
+        surprising = not self._near(candidate.expected, candidate.guess)
         if (
             trial.link is None
-            or (surprising and not self._known.is_strong(trial))
-            or _contradiction(attempt, trial.link) > _MOST_CONTRADICTION
+            or (surprising and not self._known.is_reliable(trial))
+            or _contradiction(candidate, trial.link) > _MAX_CONTRADICTION
         ):
-            self._failed[pair] = attempt.guess
+            self._failed[pair] = candidate.guess
             return None
         return trial.link
 
@@ -286,10 +292,10 @@ class Loops:
         )
 
 
-class _Ties:
+class _LinkedKeyframes:
     """Which keyframes links tie, to within a keyframe's step."""
 
-    def __init__(self, known: Recogniser) -> None:
+    def __init__(self, known: Relocalizer) -> None:
         self._known = known
         self._tied: dict[int, list[int]] = {}
         self._count = 0
@@ -322,14 +328,14 @@ def _uncertainty(link: Link) -> float:
     return sigma + _DRIFT_SHARE * link.a_from_b.translation_length
 
 
-def _ways(poses: Sequence[Pose2]) -> list[float]:
+def _path_lengths(poses: Sequence[Pose2]) -> list[float]:
     """Return the way driven up to each pose, metres."""
     steps = [path_length(pair) for pair in pairwise(poses)]
     return [0.0, *accumulate(steps)]
 
 
-def _contradiction(attempt: _Attempt, link: Link) -> float:
+def _contradiction(candidate: _LoopCandidate, link: Link) -> float:
     """Return the squared Mahalanobis distance of a measured motion from what the poses say."""
-    error = attempt.expected.inverse() @ link.a_from_b
+    error = candidate.expected.inverse() @ link.a_from_b
     vector = np.array([error.x, error.y, error.theta])
-    return float(vector @ invert(attempt.covariance + link.covariance) @ vector)
+    return float(vector @ invert(candidate.covariance + link.covariance) @ vector)

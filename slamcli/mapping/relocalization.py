@@ -14,20 +14,20 @@ from dataclasses import dataclass, replace
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Grid, Pose2
-from slamcli.core.records import Features, Keyframe, Prepared
-from slamcli.mapping.backend.backend import Graph
-from slamcli.mapping.keyframes import Expander
-from slamcli.registration import Trial, compare
-from slamcli.stages.place_index import Place, PlaceIndex
+from slamcli.core.records import Features, Keyframe, PreparedFrame
+from slamcli.mapping.backend.backend import Backend
+from slamcli.mapping.keyframes import KeyframeCache
+from slamcli.registration import RegistrationResult, register
+from slamcli.stages.place_index import PlaceCandidate, PlaceIndex
 
 # A motion needs so many times the usual inliers, and pixels that agree well.
-_LEAST_INLIERS = 3
+_MIN_INLIERS = 3
 # Of the patches of floor that tell, for a place to be the same.
-_LEAST_CONFIRMED = 0.9
-_LEAST_CONFIRMED_BY_MANY = 0.5
-_LEAST_CORRELATION = 0.5
+_MIN_CONFIRMED = 0.9
+_MIN_CONFIRMED_BY_MANY = 0.5
+_MIN_CORRELATION = 0.5
 # So many spots of the map are compared with a frame that recalls them, from so many keyframes each.
-_MOST_SPOTS = 4
+_MAX_SPOTS = 4
 _PLACES_OF_A_SPOT = 2
 # Two recalled places nearer than this, as a share of the range and in radians, are one spot; so
 # much more for each keyframe between them, as a map drifts.
@@ -37,22 +37,22 @@ _DRIFT_A_KEYFRAME = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recognition:
+class Relocalization:
     """What came of it.
 
     Attributes
     ----------
-    trial : Trial or None
+    trial : RegistrationResult or None
         The believed one, with a link of kind ``loop``.
     reason : str
         Why there is none; empty when there is.
     """
 
-    trial: Trial | None
+    trial: RegistrationResult | None
     reason: str
 
 
-class Recogniser:
+class Relocalizer:
     """Keyframes that stay, to be found by what they look like.
 
     Parameters
@@ -67,7 +67,7 @@ class Recogniser:
         self._calibration = calibration
         # Floor that is seen again may lie at any angle.
         self._options = replace(options, max_turn_degrees=180.0)
-        self._expander = Expander(grid)
+        self._expander = KeyframeCache(grid)
         self._index = PlaceIndex(options.matching.seed)
         self._keyframes: dict[int, Keyframe] = {}
         self.order: list[int] = []
@@ -81,7 +81,7 @@ class Recogniser:
         """All that are kept, in the order of their making."""
         return [self._keyframes[index] for index in self.order]
 
-    def keep(self, keyframe: Keyframe) -> None:
+    def add(self, keyframe: Keyframe) -> None:
         """Keep one more keyframe."""
         self._number[keyframe.index] = len(self.order)
         self.order.append(keyframe.index)
@@ -97,42 +97,46 @@ class Recogniser:
         """Return how many keyframes later than a the keyframe b was made."""
         return self._number[b] - self._number[a]
 
-    def recall(self, features: Features, excluded: frozenset[int] = frozenset()) -> list[Place]:
+    def query(
+        self, features: Features, excluded: frozenset[int] = frozenset()
+    ) -> list[PlaceCandidate]:
         """Return the keyframes that a frame's points recall, the likeliest first."""
-        return self._index.recall(features, excluded)
+        return self._index.query(features, excluded)
 
-    def expand(self, index: int) -> Prepared:
+    def decode(self, index: int) -> PreparedFrame:
         """Return a keyframe ready to be compared."""
-        return self._expander.expand(self._keyframes[index])
+        return self._expander.decode(self._keyframes[index])
 
-    def compare(self, a: int, prepared: Prepared, guess: Pose2) -> Trial:
+    def register(self, a: int, prepared: PreparedFrame, guess: Pose2) -> RegistrationResult:
         """Compare a frame with a keyframe; a link is of kind ``loop``."""
-        keyframe = self.expand(a)
-        trial = compare(keyframe, prepared, guess, self._calibration, self._options)
+        keyframe = self.decode(a)
+        trial = register(keyframe, prepared, guess, self._calibration, self._options)
         if trial.link is None:
             return trial
         # Boards of one print beside boards that differ: most of the floor must be the same. A floor
         # that was changed since then is known by the more points that agree on what is left of it.
         share = trial.correlation if math.isnan(trial.confirmed) else trial.confirmed
         many = trial.alignment.inlier_count >= self._options.convincing_inliers
-        if share < (_LEAST_CONFIRMED_BY_MANY if many else _LEAST_CONFIRMED):
+        if share < (_MIN_CONFIRMED_BY_MANY if many else _MIN_CONFIRMED):
             reason = f"only {share:.0%} of the floor is as it was (to {keyframe.name})"
             return replace(trial, link=None, reason=reason)
         return replace(trial, link=replace(trial.link, kind="loop"))
 
-    def is_strong(self, trial: Trial) -> bool:
+    def is_reliable(self, trial: RegistrationResult) -> bool:
         """Return whether a comparison is to be believed without anything known beforehand."""
-        needed = _LEAST_INLIERS * self._options.matching.min_inliers
+        needed = _MIN_INLIERS * self._options.matching.min_inliers
         return (
             trial.link is not None
             and trial.alignment.accepted
             and trial.alignment.inlier_count >= needed
-            and trial.correlation >= _LEAST_CORRELATION
+            and trial.correlation >= _MIN_CORRELATION
         )
 
-    def believe(self, prepared: Prepared, places: Sequence[Place], graph: Graph) -> Recognition:
+    def verify(
+        self, prepared: PreparedFrame, places: Sequence[PlaceCandidate], graph: Backend
+    ) -> Relocalization:
         """Compare a frame with the spots that it recalls; believe one spot or none."""
-        spots: list[list[Place]] = []
+        spots: list[list[PlaceCandidate]] = []
         for place in places:
             if not graph.is_placed(place.keyframe):
                 continue
@@ -141,30 +145,34 @@ class Recogniser:
                 spots.append([place])
             else:
                 spot.append(place)
-        tried = [self._first_strong(prepared, spot) for spot in spots[:_MOST_SPOTS]]
-        believed: list[Trial] = []
+        tried = [self._first_strong(prepared, spot) for spot in spots[:_MAX_SPOTS]]
+        believed: list[RegistrationResult] = []
         for trial in tried:
             if trial is not None and not any(self._same_end(trial, b, graph) for b in believed):
                 believed.append(trial)
         if len(believed) == 1:
-            return Recognition(believed[0], "")
+            return Relocalization(believed[0], "")
         if believed:
-            return Recognition(None, f"ambiguous: {len(believed)} spots of the map look like it")
+            return Relocalization(None, f"ambiguous: {len(believed)} spots of the map look like it")
         if not spots:
-            return Recognition(None, "not here: it recalls no place of the map")
-        return Recognition(
+            return Relocalization(None, "not here: it recalls no place of the map")
+        return Relocalization(
             None, f"not here: it resembles {len(spots)} spots of the map, but the pixels differ"
         )
 
-    def _first_strong(self, prepared: Prepared, spot: Sequence[Place]) -> Trial | None:
+    def _first_strong(
+        self, prepared: PreparedFrame, spot: Sequence[PlaceCandidate]
+    ) -> RegistrationResult | None:
         """Return the first comparison with a spot's keyframes that is to be believed."""
         for place in spot[:_PLACES_OF_A_SPOT]:
-            trial = self.compare(place.keyframe, prepared, place.keyframe_from_now)
-            if self.is_strong(trial):
+            trial = self.register(place.keyframe, prepared, place.keyframe_from_now)
+            if self.is_reliable(trial):
                 return trial
         return None
 
-    def _same_end(self, first: Trial, second: Trial, graph: Graph) -> bool:
+    def _same_end(
+        self, first: RegistrationResult, second: RegistrationResult, graph: Backend
+    ) -> bool:
         """Return whether two spots, compared, put the frame at one place: recalled only roughly."""
         assert first.link is not None
         assert second.link is not None
@@ -172,7 +180,7 @@ class Recogniser:
             (first.link.a, first.link.a_from_b), (second.link.a, second.link.a_from_b), graph
         )
 
-    def _same_spot(self, first: Place, second: Place, graph: Graph) -> bool:
+    def _same_spot(self, first: PlaceCandidate, second: PlaceCandidate, graph: Backend) -> bool:
         """Return whether two recalled places say the same of where the frame is."""
         return self._same_pose(
             (first.keyframe, first.keyframe_from_now),
@@ -180,7 +188,9 @@ class Recogniser:
             graph,
         )
 
-    def _same_pose(self, first: tuple[int, Pose2], second: tuple[int, Pose2], graph: Graph) -> bool:
+    def _same_pose(
+        self, first: tuple[int, Pose2], second: tuple[int, Pose2], graph: Backend
+    ) -> bool:
         """Return whether two keyframes, with a frame's pose in each, put it at one place."""
         (a, a_from_now), (b, b_from_now) = first, second
         if graph[a].fragment != graph[b].fragment:

@@ -7,46 +7,45 @@ import math
 import numpy as np
 
 from slamcli.core.config import MapperOptions
-from slamcli.core.records import Alignment
+from slamcli.core.records import FeatureAlignment
 from slamcli.registration import hypotheses
-from slamcli.registration.refinement import Hypothesis, Pair
+from slamcli.registration.refinement import MotionHypothesis, PyramidPair
 
 # So many times the inliers that are needed stand in for pixels that look little alike, or that
 # leave a direction open.
 _BACKING = 3
 # A narrow strip of the floor fits elsewhere too, or with another turn.
-_LEAST_DENSE_OVERLAP = 0.2
+_MIN_DENSE_OVERLAP = 0.2
 # Where so many of the telling patches agree, what disagrees stands on the floor; where features
 # without number agree too, as many as must in any case are enough.
 _CONFIRMED = 0.5
-_LEAST_CONFIRMED = 0.35
+_MIN_CONFIRMED = 0.35
 # On a bare floor most of the patches that tell may show legs; those that agree with what many
 # features say are no accident then.
-_LEAST_BACKED = 0.1
+_MIN_BACKED = 0.1
 # On a floor with too few patches to vote, the little that there is must agree by so much better
 # where the camera's noise hides whether the rest does.
 _FEW_PATCHES_HANDICAP = 0.4
 
 
-def convincing(alignment: Alignment, fit: Hypothesis, options: MapperOptions) -> bool:
+def convincing(alignment: FeatureAlignment, fit: MotionHypothesis, options: MapperOptions) -> bool:
     """Return whether features and pixels together leave no reason to look for another motion."""
-    return many(alignment, options) and (
-        fit.agreed.correlation >= options.convincing_score
-        or fit.agreed.confirmed >= _LEAST_CONFIRMED
+    return enough_inliers(alignment, options) and (
+        fit.agreed.correlation >= options.convincing_score or fit.agreed.confirmed >= _MIN_CONFIRMED
     )
 
 
-def many(alignment: Alignment, options: MapperOptions) -> bool:
+def enough_inliers(alignment: FeatureAlignment, options: MapperOptions) -> bool:
     """Return whether so many features agree that they could convince."""
     return alignment.inlier_count >= options.convincing_inliers
 
 
-def backing(alignment: Alignment, options: MapperOptions) -> bool:
+def backed_by_features(alignment: FeatureAlignment, options: MapperOptions) -> bool:
     """Return whether enough features agree to back what the pixels say."""
     return alignment.inlier_count >= _BACKING * options.matching.min_inliers
 
 
-def few(alignment: Alignment, options: MapperOptions) -> str:
+def too_few_inliers(alignment: FeatureAlignment, options: MapperOptions) -> str:
     """Return why features alone are not believed."""
     return (
         f"{alignment.inlier_count} inliers do not convince; "
@@ -54,15 +53,15 @@ def few(alignment: Alignment, options: MapperOptions) -> str:
     )
 
 
-def way_metres(first: int, second: int, options: MapperOptions) -> float:
+def max_displacement_metres(first: int, second: int, options: MapperOptions) -> float:
     """Return the farthest that the robot may have gone between two frames, by their indices."""
     step = options.max_step_metres
     return math.inf if step is None else step * max(1, abs(second - first))
 
 
-def implausible(
-    fit: Hypothesis,
-    most_metres: float,
+def check_plausible(
+    fit: MotionHypothesis,
+    limit_metres: float,
     options: MapperOptions,
     *,
     beside_features: bool = False,
@@ -79,9 +78,12 @@ def implausible(
     backed : bool
         Whether so many features agree with the fit that few pixels need to.
     """
-    way = fit.pose.translation_length
-    if way > most_metres:
-        return f"the fit moves the robot by {way:.3g}; at most {most_metres:.3g} is plausible"
+    displacement = fit.pose.translation_length
+    if displacement > limit_metres:
+        return (
+            f"the fit moves the robot by {displacement:.3g}; "
+            f"at most {limit_metres:.3g} is plausible"
+        )
     turn = abs(math.degrees(fit.pose.theta))
     if turn > options.max_turn_degrees:
         return (
@@ -93,7 +95,7 @@ def implausible(
             f"the fit leaves an overlap of {fit.agreed.overlap:.0%}; "
             f"at least {options.min_overlap:.0%} is needed"
         )
-    least = _LEAST_BACKED if backed else _LEAST_CONFIRMED
+    least = _MIN_BACKED if backed else _MIN_CONFIRMED
     if fit.agreed.confirmed < least:
         return (
             f"only {fit.agreed.confirmed:.0%} of the floor's patches agree with the fit; "
@@ -108,25 +110,27 @@ def implausible(
     return ""
 
 
-def unlike(pair: Pair, fit: Hypothesis, options: MapperOptions) -> str:
+def check_similarity(pair: PyramidPair, fit: MotionHypothesis, options: MapperOptions) -> str:
     """Return why the pixels alone are not believed: too unlike, or of too little shared floor."""
     alike = fit.agreed.correlation
     if math.isnan(fit.agreed.confirmed):
-        alike = min(alike, max(hypotheses.likeness(pair, fit), alike - _FEW_PATCHES_HANDICAP))
+        alike = min(
+            alike, max(hypotheses.coarse_similarity(pair, fit), alike - _FEW_PATCHES_HANDICAP)
+        )
     if not alike >= options.min_dense_score and not fit.agreed.confirmed >= _CONFIRMED:
         return (
             f"the pixels are too unlike: correlation {alike:.2f}; "
             f"at least {options.min_dense_score:.2f} is needed"
         )
-    if fit.agreed.overlap < _LEAST_DENSE_OVERLAP:
+    if fit.agreed.overlap < _MIN_DENSE_OVERLAP:
         return (
             f"the pixels share {fit.agreed.overlap:.0%} of the floor; "
-            f"at least {_LEAST_DENSE_OVERLAP:.0%} is needed where few features agree"
+            f"at least {_MIN_DENSE_OVERLAP:.0%} is needed where few features agree"
         )
     return ""
 
 
-def ambiguous(rival: float, options: MapperOptions) -> str:
+def check_unique(rival: float, options: MapperOptions) -> str:
     """Return why a motion is not singled out, given its rival's share of the evidence."""
     if rival <= options.max_rival_evidence:
         return ""
@@ -136,7 +140,9 @@ def ambiguous(rival: float, options: MapperOptions) -> str:
     )
 
 
-def repeating(fit: Hypothesis, like: list[Hypothesis], options: MapperOptions) -> str:
+def check_period(
+    fit: MotionHypothesis, like: list[MotionHypothesis], options: MapperOptions
+) -> str:
     """Return why a motion is not singled out on a floor that repeats, given those it is like."""
     for other in like:
         if other.evidence > options.max_rival_evidence * fit.evidence:
@@ -145,7 +151,7 @@ def repeating(fit: Hypothesis, like: list[Hypothesis], options: MapperOptions) -
     return ""
 
 
-def undetermined(fit: Hypothesis, range_metres: float, options: MapperOptions) -> str:
+def check_observable(fit: MotionHypothesis, range_metres: float, options: MapperOptions) -> str:
     """Return why a motion is not known in every direction."""
     variances, directions = np.linalg.eigh(fit.covariance[:2, :2])
     sigma, turn_sigma = math.sqrt(float(variances[1])), math.sqrt(float(fit.covariance[2, 2]))

@@ -12,9 +12,9 @@ import math
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.records import Alignment
+from slamcli.core.records import FeatureAlignment
 from slamcli.registration import refinement
-from slamcli.registration.refinement import Hypothesis, Pair
+from slamcli.registration.refinement import MotionHypothesis, PyramidPair
 
 EVIDENCE = (
     "constant",
@@ -32,23 +32,23 @@ WEIGHTS = np.array([-2.05, 2.07, 2.00, 1.00, 1.48, 5.10, -2.07, -1.49, 2.10, -2.
 # So many inliers, and a motion known to such a share of the camera's range, count as one.
 _MANY_INLIERS = 1000.0
 _SHARP_SHARE = 1e-4
-_LEAST_UNEXPLAINED = 1e-3
+_MIN_UNEXPLAINED = 1e-3
 
 
 def evidence(
-    fit: Hypothesis,
-    alignment: Alignment,
+    fit: MotionHypothesis,
+    alignment: FeatureAlignment,
     rival: float,
     searched_metres: float,
     range_metres: float,
-    pair: Pair,
+    pair: PyramidPair,
 ) -> Float64Array:
     """Return (K,) what is told of a motion, in the order of `EVIDENCE`, each about 0 to 1.
 
     Parameters
     ----------
-    fit : Hypothesis
-    alignment : Alignment
+    fit : MotionHypothesis
+    alignment : FeatureAlignment
         What the features said.
     rival : float
         Of the next best motion, its share of this one's evidence; nan when none was looked for.
@@ -56,7 +56,7 @@ def evidence(
         How far about where the robot was heading the pixels were searched for one.
     range_metres : float
         How far the camera sees.
-    pair : Pair
+    pair : PyramidPair
     """
     agreed = fit.agreed
     inliers = math.log1p(alignment.inlier_count) / math.log1p(_MANY_INLIERS)
@@ -66,7 +66,7 @@ def evidence(
     return np.array(
         [
             1.0,
-            _likeness(agreed.correlation),
+            _similarity(agreed.correlation),
             0.0 if math.isnan(agreed.confirmed) else agreed.confirmed,
             float(math.isnan(agreed.confirmed)),
             min(agreed.overlap, 1.0),
@@ -79,12 +79,12 @@ def evidence(
     )
 
 
-def _likeness(correlation: float) -> float:
+def _similarity(correlation: float) -> float:
     """Return how far a correlation is from chance: the logarithm of what it leaves unexplained."""
     if not correlation > 0.0:
         return 0.0
-    unexplained = max(1.0 - correlation**2, _LEAST_UNEXPLAINED)
-    return math.log(unexplained) / math.log(_LEAST_UNEXPLAINED)
+    unexplained = max(1.0 - correlation**2, _MIN_UNEXPLAINED)
+    return math.log(unexplained) / math.log(_MIN_UNEXPLAINED)
 
 
 def score(told: Float64Array) -> float:

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from slamcli.core.records import Features, Frame, Prepared, View
+from slamcli.core.records import Features, Frame, PreparedFrame, View
 from slamcli.stages import dense
 
-Stencils = tuple[dense.Stencil, ...]
+LevelMasks = tuple[dense.LevelMask, ...]
 
 
 def assemble(
     frame: Frame,
     views: Sequence[View],
     found: Features,
-    stencils: Sequence[Stencils] | None = None,
-) -> Prepared:
+    stencils: Sequence[LevelMasks] | None = None,
+) -> PreparedFrame:
     """Return a frame with its views' pyramids, and by how much its floor repeats.
 
     Parameters
@@ -29,9 +29,9 @@ def assemble(
     stencils : sequence or None
         From `make_stencils` of each view's mask, where they are at hand.
     """
-    known: Sequence[Stencils | None] = stencils or [None] * len(views)
+    known: Sequence[LevelMasks | None] = stencils or [None] * len(views)
     levels, *far = [dense.make_levels(one, mask) for one, mask in zip(views, known, strict=True)]
-    return Prepared(
+    return PreparedFrame(
         frame.index,
         frame.name,
         frame.stamp,
@@ -40,5 +40,5 @@ def assemble(
         "",
         levels,
         far[0] if far else (),
-        dense.repeats(levels[-1]),
+        dense.find_periods(levels[-1]),
     )

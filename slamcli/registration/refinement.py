@@ -11,7 +11,7 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2, wrap_angle
-from slamcli.core.records import DenseLevel
+from slamcli.core.records import PyramidLevel
 from slamcli.stages import dense
 
 # Two motions nearer than this, in pixels of the coarsest level and in radians, are one.
@@ -29,27 +29,27 @@ _CONTRAST_HANDICAP = 0.0475
 _ROCKING_TIMES = 5.0
 # Of the patches that tell.
 _MOSTLY = 0.5
-_MOST_STRAY_PIXELS, _MOST_STRAY_RADIANS = 2.0, math.radians(0.5)
+_MAX_STRAY_PIXELS, _MAX_STRAY_RADIANS = 2.0, math.radians(0.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pair:
+class PyramidPair:
     """The pyramids of two views of one kind.
 
     Attributes
     ----------
-    a, b : tuple of DenseLevel
+    a, b : tuple of PyramidLevel
     far : bool
         Whether they reach beyond the range of the features.
     """
 
-    a: tuple[DenseLevel, ...]
-    b: tuple[DenseLevel, ...]
+    a: tuple[PyramidLevel, ...]
+    b: tuple[PyramidLevel, ...]
     far: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Hypothesis:
+class MotionHypothesis:
     """A motion that may become a link, and what the pixels say of it.
 
     Attributes
@@ -80,18 +80,18 @@ class Hypothesis:
         return not np.array_equal(self.view_a_from_view_b, self.pose.matrix)
 
 
-def polish(
-    pair: Pair,
+def refine_hypothesis(
+    pair: PyramidPair,
     pose: Pose2,
     covariance: Float64Array | None,
     calibration: Calibration,
     options: MapperOptions,
-) -> Hypothesis | None:
+) -> MotionHypothesis | None:
     """Refine a motion on the pixels, where that makes them agree better, and judge it.
 
     Parameters
     ----------
-    pair : Pair
+    pair : PyramidPair
     pose : Pose2
     covariance : (3, 3) float64 or None
         As features tell; None for what a search or a guess led to.
@@ -100,11 +100,11 @@ def polish(
 
     Returns
     -------
-    Hypothesis or None
+    MotionHypothesis or None
         None where neither features nor pixels hold the motion.
     """
     if covariance is None:
-        return _polished(pair, pose, None, None, calibration, options)
+        return _refined(pair, pose, None, None, calibration, options)
     plain = None
     if options.refine:
         # Features come within a pixel of the finest levels.
@@ -117,34 +117,34 @@ def polish(
             suspected_tilt_radians=math.radians(options.tilt_sigma_degrees),
         )
         if refined is not None:
-            plain = judge_refined(pair, refined)
-            near = not _strayed(pose, plain.pose, pair)
+            plain = score_refined(pair, refined)
+            near = not _diverged(pose, plain.pose, pair)
             if near and _explains(plain) and _holds(plain, covariance, calibration, options):
                 # As on most floors: there is nothing left to ask the start about.
                 return plain
-    start = judge(pair, pose, covariance, pose.matrix)
+    start = photometric_score(pair, pose, covariance, pose.matrix)
     if not options.refine:
         return start
-    return _polished(pair, pose, start, plain, calibration, options)
+    return _refined(pair, pose, start, plain, calibration, options)
 
 
-def _polished(
-    pair: Pair,
+def _refined(
+    pair: PyramidPair,
     pose: Pose2,
-    start: Hypothesis | None,
-    plain: Hypothesis | None,
+    start: MotionHypothesis | None,
+    plain: MotionHypothesis | None,
     calibration: Calibration,
     options: MapperOptions,
-) -> Hypothesis | None:
+) -> MotionHypothesis | None:
     """Return the best of a start and its refinements, the camera held still and let rock.
 
     Parameters
     ----------
-    pair : Pair
+    pair : PyramidPair
     pose : Pose2
-    start : Hypothesis or None
+    start : MotionHypothesis or None
         Of that pose; None when a search or a guess led to it.
-    plain : Hypothesis or None
+    plain : MotionHypothesis or None
         Its refinement with all of the floor and no rocking, if it was made.
     calibration : Calibration
     options : MapperOptions
@@ -175,20 +175,22 @@ def _polished(
             )
             if refined is None:
                 continue
-            fit = judge_refined(pair, refined)
+            fit = score_refined(pair, refined)
         if tilt > 0.0 and best is not None and fit.correlation > best.correlation:
             rocked = refined
             if held:
-                levels_a = dense.agreeing(pair.a[:2], levels_b[0], fit.view_a_from_view_b)
+                levels_a = dense.keep_agreeing_points(
+                    pair.a[:2], levels_b[0], fit.view_a_from_view_b
+                )
         # A camera that rocks makes most of the floor disagree too, until it is allowed for.
-        if held and crowded(fit) and _strayed(pose, fit.pose, pair):
+        if held and mostly_obstructed(fit) and _diverged(pose, fit.pose, pair):
             continue
         if best is None or (
             _better(fit, best, rocking=tilt > 0.0)
             and _holds(fit, best.covariance, calibration, options)
         ):
             best = fit
-            if held and refined is not None and not crowded(best):
+            if held and refined is not None and not mostly_obstructed(best):
                 # It was the rocking that made the floor disagree: now all of it may speak.
                 held, levels_a = False, pair.a[:2]
                 best = _by_all_of_the_floor(pair, best, refined, calibration, tilt)
@@ -196,49 +198,53 @@ def _polished(
 
 
 def _spoken_for(
-    pair: Pair, start: Hypothesis | None
-) -> tuple[tuple[DenseLevel, ...], tuple[DenseLevel, ...], bool]:
+    pair: PyramidPair, start: MotionHypothesis | None
+) -> tuple[tuple[PyramidLevel, ...], tuple[PyramidLevel, ...], bool]:
     """Return the levels that a start is refined on, and whether not all of the floor may speak."""
     if start is None:
         return pair.a, pair.b, False
     levels_a, levels_b = pair.a[:2], pair.b[:2]
-    if not crowded(start):
+    if not mostly_obstructed(start):
         return levels_a, levels_b, False
     # Most of what is seen stands or walks, and would pull the motion to its own.
-    return dense.agreeing(levels_a, levels_b[0], start.view_a_from_view_b), levels_b, True
+    return (
+        dense.keep_agreeing_points(levels_a, levels_b[0], start.view_a_from_view_b),
+        levels_b,
+        True,
+    )
 
 
 def _by_all_of_the_floor(
-    pair: Pair,
-    fit: Hypothesis,
-    told: dense.Refinement,
+    pair: PyramidPair,
+    fit: MotionHypothesis,
+    told: dense.PhotometricFit,
     calibration: Calibration,
     tilt_sigma_radians: float,
-) -> Hypothesis:
+) -> MotionHypothesis:
     """Refine a motion that the agreeing patches alone told; return the better one."""
     refined = dense.refine(
         pair.a[:2], pair.b[:2], fit.pose, calibration, tilt_sigma_radians, rocked=told
     )
     if refined is None:
         return fit
-    whole = judge_refined(pair, refined)
+    whole = score_refined(pair, refined)
     return whole if whole.evidence > fit.evidence else fit
 
 
-def crowded(fit: Hypothesis) -> bool:
+def mostly_obstructed(fit: MotionHypothesis) -> bool:
     """Return whether most of what tells something stands or walks on the floor."""
     return fit.agreed.confirmed < _MOSTLY
 
 
-def _strayed(start: Pose2, pose: Pose2, pair: Pair) -> bool:
+def _diverged(start: Pose2, pose: Pose2, pair: PyramidPair) -> bool:
     """Return whether what stands or walks pulled a motion away from what features say."""
     moved = start.inverse() @ pose
-    most = _MOST_STRAY_PIXELS * pair.a[0].metres_per_pixel
-    return moved.translation_length > most or abs(moved.theta) > _MOST_STRAY_RADIANS
+    most = _MAX_STRAY_PIXELS * pair.a[0].metres_per_pixel
+    return moved.translation_length > most or abs(moved.theta) > _MAX_STRAY_RADIANS
 
 
 def _holds(
-    fit: Hypothesis,
+    fit: MotionHypothesis,
     other: Float64Array,
     calibration: Calibration,
     options: MapperOptions,
@@ -248,7 +254,7 @@ def _holds(
     return widest_variance(fit) <= max(least, _widest(other))
 
 
-def widest_variance(fit: Hypothesis) -> float:
+def widest_variance(fit: MotionHypothesis) -> float:
     """Return the variance of the motion in the direction in which it is known worst."""
     return _widest(fit.covariance)
 
@@ -257,69 +263,69 @@ def _widest(covariance: Float64Array) -> float:
     return float(np.linalg.eigvalsh(covariance[:2, :2])[1])
 
 
-def leads_to(pair: Pair, guess: Pose2, fit: Hypothesis) -> bool:
+def converges_to(pair: PyramidPair, guess: Pose2, fit: MotionHypothesis) -> bool:
     """Return whether a guess, refined, would be no other motion than a fit that explains all."""
     return _explains(fit) and same(fit.pose, guess, pair)
 
 
-def _explains(fit: Hypothesis) -> bool:
+def _explains(fit: MotionHypothesis) -> bool:
     """Return whether a fit leaves no camera that rocks and no crowd of legs to be asked about."""
-    return _steady(fit) and not crowded(fit)
+    return _steady(fit) and not mostly_obstructed(fit)
 
 
-def _steady(fit: Hypothesis) -> bool:
+def _steady(fit: MotionHypothesis) -> bool:
     """Return whether no rocking is needed; on a bare floor noise hides it but from the contrast."""
     alike = max(fit.correlation, fit.agreed.correlation - _CONTRAST_HANDICAP)
     return alike >= _STEADY_CORRELATION and not fit.rocks
 
 
-def sharpen(
-    near: Pair, fit: Hypothesis, calibration: Calibration, options: MapperOptions
-) -> Hypothesis:
+def refine_on_near_view(
+    near: PyramidPair, fit: MotionHypothesis, calibration: Calibration, options: MapperOptions
+) -> MotionHypothesis:
     """Refine what the far pixels told on the near ones too, where those share enough of the floor.
 
     The far pixels' evidence stays: they are what told this motion from others.
     """
     tilt = math.radians(options.tilt_sigma_degrees)
-    known = dense.Known(fit.pose, fit.covariance)
+    known = dense.MotionPrior(fit.pose, fit.covariance)
     refined = dense.refine(near.a[:2], near.b[:2], fit.pose, calibration, tilt, known)
     if refined is None:
         return fit
-    sharper = judge_refined(near, refined)
+    sharper = score_refined(near, refined)
     if sharper.agreed.overlap < options.min_overlap:
         return fit
     return replace(sharper, evidence=fit.evidence, correlation=fit.correlation)
 
 
-def judge(
-    pair: Pair,
+def photometric_score(
+    pair: PyramidPair,
     pose: Pose2,
     covariance: Float64Array,
     shown: Float64Array,
-) -> Hypothesis:
+) -> MotionHypothesis:
     """Return what the pixels say of one motion."""
     agreed = dense.agreement(pair.a[0], pair.b[0], shown)
     # The floor's own fine texture outweighs, pixel by pixel, what large things that stand on it do.
     fine = dense.evidence(pair.a[0], pair.b[0], pose, shown)
     middle = dense.evidence(pair.a[1], pair.b[1], pose, shown)
     correlation = max(fine.correlation, middle.correlation)
-    return Hypothesis(pose, covariance, agreed, fine.evidence, correlation, shown)
+    return MotionHypothesis(pose, covariance, agreed, fine.evidence, correlation, shown)
 
 
-def judge_refined(pair: Pair, refined: dense.Refinement) -> Hypothesis:
+def score_refined(pair: PyramidPair, refined: dense.PhotometricFit) -> MotionHypothesis:
     """Return what the pixels say of a refined motion."""
-    fit = judge(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
+    fit = photometric_score(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
     return replace(fit, rocks=refined.rocks)
 
 
-def same(first: Pose2, second: Pose2, pair: Pair) -> bool:
+def same(first: Pose2, second: Pose2, pair: PyramidPair) -> bool:
     """Return whether two motions are one, as far as the coarsest level tells."""
     apart = first.inverse() @ second
     near = _SAME_PIXELS * pair.a[-1].metres_per_pixel
     return apart.translation_length < near and abs(wrap_angle(apart.theta)) < _SAME_RADIANS
 
 
-def _better(fit: Hypothesis, other: Hypothesis, *, rocking: bool) -> bool:
+def _better(fit: MotionHypothesis, other: MotionHypothesis, *, rocking: bool) -> bool:
     """Return whether a refined fit agrees better.
 
     One that bends the floor must do so by far; where the pixels ask for it, by less; and where

@@ -8,24 +8,24 @@ from functools import partial
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
-from slamcli.core.records import Frame, Prepared
+from slamcli.core.records import Frame, PreparedFrame
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.mapping.mapper import Mapper
-from slamcli.run.paint.thumbnails import Glimpses
+from slamcli.run.paint.thumbnails import Thumbnails
 from slamcli.run.session.executor import Progress, ordered, threads
-from slamcli.selfcal import Registration
+from slamcli.selfcal import RegisteredDrive
 
 
 def read_and_prepare(
-    prepare: Callable[[Frame], Prepared], file: FrameFile, glimpses: Glimpses | None = None
-) -> Prepared:
+    prepare: Callable[[Frame], PreparedFrame], file: FrameFile, thumbnails: Thumbnails | None = None
+) -> PreparedFrame:
     """Return a frame ready to be placed, or with the reason why it cannot be used."""
     try:
         frame = read_frame(file, gray=True)
     except FrameError as error:
-        return Prepared(file.index, file.name, file.stamp, None, None, str(error))
-    if glimpses is not None:
-        glimpses.keep(frame)
+        return PreparedFrame(file.index, file.name, file.stamp, None, None, str(error))
+    if thumbnails is not None:
+        thumbnails.keep(frame)
     return prepare(frame)
 
 
@@ -35,17 +35,17 @@ def walk(
     workers: int,
     progress: Progress,
     scheduler: str = "",
-    glimpses: Glimpses | None = None,
+    thumbnails: Thumbnails | None = None,
 ) -> Iterator[int]:
     """Give a mapper all frames that it has not seen; yield after each how many it has by then.
 
     Parameters
     ----------
-    glimpses : Glimpses or None
+    glimpses : Thumbnails or None
         Keeps what the frames look like, where they are read by this process.
     """
     first = len(mapper.estimates)
-    work = partial(read_and_prepare, mapper.prepare, glimpses=None if scheduler else glimpses)
+    work = partial(read_and_prepare, mapper.prepare, thumbnails=None if scheduler else thumbnails)
     prepared_frames = ordered(work, files[first:], workers, scheduler)
     for done, prepared in enumerate(prepared_frames, start=first + 1):
         mapper.step(prepared)
@@ -65,7 +65,7 @@ def register(
     workers: int,
     progress: Progress,
     calibration: Calibration,
-) -> Registration:
+) -> RegisteredDrive:
     """Place all frames with one calibration."""
     mapper = Mapper(calibration, options)
     for _ in walk(mapper, files, workers, progress):
@@ -74,9 +74,9 @@ def register(
     return registration_of(mapper)
 
 
-def registration_of(mapper: Mapper) -> Registration:
+def registration_of(mapper: Mapper) -> RegisteredDrive:
     """Return what a mapper knows when all frames have come."""
-    return Registration(
+    return RegisteredDrive(
         mapper.calibration,
         mapper.estimates,
         mapper.links,

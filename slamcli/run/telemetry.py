@@ -103,6 +103,6 @@ def feed_shifted(mapper: Mapper, telemetry: Telemetry) -> str:
             "the motion is too even, or too short, to find by how much the clocks differ; "
             "give --time-offset in seconds"
         )
-    mapper.senses.shift(found.seconds)
+    mapper.sensors.shift(found.seconds)
     feed(mapper, telemetry)
     return f"{found.seconds:+.3f} s, sigma {found.sigma_seconds:.3f} s"

@@ -7,7 +7,7 @@ the frames determine it, when it differs from the calibration by more than its o
 when it explains matches better that had no part in finding it.
 """
 
-from slamcli.selfcal.bundle import Registration
-from slamcli.selfcal.rounds import Refinement, refine
+from slamcli.selfcal.bundle import RegisteredDrive
+from slamcli.selfcal.rounds import SelfCalibration, refine
 
-__all__ = ["Refinement", "Registration", "refine"]
+__all__ = ["RegisteredDrive", "SelfCalibration", "refine"]

@@ -12,16 +12,16 @@ from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration, Rocking
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, PoseEstimate
-from slamcli.selfcal.bundle import Registration
+from slamcli.selfcal.bundle import RegisteredDrive
 from slamcli.stages import adjustment
 
 # A pose is no surer than this, m and rad.
-_LEAST_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
+_MIN_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
 
 
 def with_views(
-    registration: Registration, found: adjustment.Adjustment, scale: float
-) -> Registration:
+    registration: RegisteredDrive, found: adjustment.Adjustment, scale: float
+) -> RegisteredDrive:
     """Return the registration with adjusted camera and poses, its lengths multiplied by `scale`.
 
     A frame without matches of its own moves with the nearest that has some.
@@ -37,7 +37,7 @@ def with_views(
         if estimate.index in found.views:
             pose = found.views[estimate.index].map_from_robot
             rocking = found.views[estimate.index].rocking
-            covariance = found.pose_covariances[estimate.index] + _LEAST_POSE_COVARIANCE
+            covariance = found.pose_covariances[estimate.index] + _MIN_POSE_COVARIANCE
         else:
             pose = _carried(estimate, before, found)
         metres = np.array([scale, scale, 1.0])

@@ -14,21 +14,21 @@ from scipy.sparse.csgraph import connected_components
 from slamcli.core.arrays import BoolArray, Float64Array
 from slamcli.core.camera.calibration import Calibration, Rocking
 from slamcli.core.records import FloorMap, Link, PoseEstimate
-from slamcli.selfcal.correspondences import Matcher, Pair, Read
+from slamcli.selfcal.correspondences import FramePair, Matcher, Read
 from slamcli.stages import adjustment
 
-Matching = Callable[[Pair], adjustment.Matches | None]
-InOrder = Callable[[Matching, Sequence[Pair]], Iterable[adjustment.Matches | None]]
+Matching = Callable[[FramePair], adjustment.Matches | None]
+InOrder = Callable[[Matching, Sequence[FramePair]], Iterable[adjustment.Matches | None]]
 
 _LEARNING_ROUNDS, _WARM_ROUNDS = 5, 1
 # Frames this many places apart are compared too, where they share enough floor.
 _NEIGHBOURS = 3
-_MOST_MATCHES, _MOST_MATCHES_A_PAIR, _LEAST_MATCHES_A_PAIR = 60_000, 200, 40
-_LEAST_PAIRS, _LEAST_FRAMES = 4, 4
+_MAX_MATCHES, _MAX_MATCHES_A_PAIR, _MIN_MATCHES_A_PAIR = 60_000, 200, 40
+_MIN_PAIRS, _MIN_FRAMES = 4, 4
 # One sigma at most of log focal length, two radial coefficients, pitch, roll and the principal
 # point; the last only matters where it passes for a tilt, which has its own limit.
-MOST_SIGMAS = np.array([0.01, 0.01, 0.05, math.radians(0.3), math.radians(0.3), 0.01, 0.01])
-_LEAST_LENS_SIGMAS = 4.0
+MAX_SIGMAS = np.array([0.01, 0.01, 0.05, math.radians(0.3), math.radians(0.3), 0.01, 0.01])
+_MIN_LENS_SIGMAS = 4.0
 _CORNER_RATIO = 0.3
 _WITH_K1 = np.array([True, True, False, True, True, False, False])
 _K2 = np.arange(7) == 2
@@ -37,7 +37,7 @@ NONE = np.zeros(7, np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Registration:
+class RegisteredDrive:
     """Frames registered with one calibration.
 
     Attributes
@@ -59,7 +59,7 @@ class Registration:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Survey:
+class BundleRound:
     """One round: what the frames share, and what explains it."""
 
     matches: list[adjustment.Matches]
@@ -67,41 +67,41 @@ class Survey:
 
 
 def survey_frames(
-    registration: Registration, read: Read, in_order: InOrder, *, coarse: bool
-) -> Survey | None:
+    registration: RegisteredDrive, read: Read, in_order: InOrder, *, coarse: bool
+) -> BundleRound | None:
     """Find what the frames share and what explains it; None when that is too little.
 
     The first time the foretold places are far off: what is found first tells where to look closely.
     """
     calibration = registration.calibration
     views = {
-        estimate.index: adjustment.View(estimate.map_from_robot, Rocking())
+        estimate.index: adjustment.FramePose(estimate.map_from_robot, Rocking())
         for estimate in registration.estimates
         if estimate.map_from_robot is not None
     }
     pairs = _pairs(registration)
-    if len(pairs) < _LEAST_PAIRS or len(views) < _LEAST_FRAMES:
+    if len(pairs) < _MIN_PAIRS or len(views) < _MIN_FRAMES:
         return None
     found: adjustment.Adjustment | None = None
     change = np.zeros(len(NONE))
-    for coarsest in (adjustment.DEEPEST_LEVEL, 1) if coarse else (1,):
+    for coarsest in (adjustment.MAX_LEVEL, 1) if coarse else (1,):
         matcher = Matcher(calibration, views, registration.links, read, coarsest)
-        share = min(_MOST_MATCHES // len(pairs), _MOST_MATCHES_A_PAIR)
-        find = partial(matcher.match, count=max(share, _LEAST_MATCHES_A_PAIR))
+        share = min(_MAX_MATCHES // len(pairs), _MAX_MATCHES_A_PAIR)
+        find = partial(matcher.match, count=max(share, _MIN_MATCHES_A_PAIR))
         matches = [match for match in in_order(find, pairs) if match is not None]
-        if len(matches) < _LEAST_PAIRS:
+        if len(matches) < _MIN_PAIRS:
             return None
-        rough = coarsest == adjustment.DEEPEST_LEVEL
+        rough = coarsest == adjustment.MAX_LEVEL
         found = _explain(calibration, views, matches, rough=rough)
         calibration, views = found.calibration, {**views, **found.views}
         change += found.camera_change
     assert found is not None
-    return Survey(matches, replace(found, camera_change=change))
+    return BundleRound(matches, replace(found, camera_change=change))
 
 
 def fit(
     calibration: Calibration,
-    views: Mapping[int, adjustment.View],
+    views: Mapping[int, adjustment.FramePose],
     matches: Sequence[adjustment.Matches],
     camera_free: BoolArray,
     rocking_sigmas: Float64Array | None = None,
@@ -111,7 +111,7 @@ def fit(
     warm = rocking_sigmas is not None
     sigmas = adjustment.FIRST_ROCKING if rocking_sigmas is None else rocking_sigmas
     if not np.any(sigmas):
-        views = {i: adjustment.View(v.map_from_robot, Rocking()) for i, v in views.items()}
+        views = {i: adjustment.FramePose(v.map_from_robot, Rocking()) for i, v in views.items()}
     return adjustment.adjust(
         calibration,
         views,
@@ -123,7 +123,7 @@ def fit(
     )
 
 
-def median_pixels(found: adjustment.Adjustment, survey: Survey) -> float:
+def median_pixels(found: adjustment.Adjustment, survey: BundleRound) -> float:
     """Return the median reprojection error of the spots that are known in both directions."""
     errors = []
     for match in survey.matches:
@@ -138,14 +138,14 @@ def median_pixels(found: adjustment.Adjustment, survey: Survey) -> float:
 
 def _explain(
     calibration: Calibration,
-    views: Mapping[int, adjustment.View],
+    views: Mapping[int, adjustment.FramePose],
     matches: Sequence[adjustment.Matches],
     *,
     rough: bool,
 ) -> adjustment.Adjustment:
     """Return the adjustment with as much of the lens as the matches determine."""
     plain = fit(calibration, views, matches, _WITH_K1, rounds=_WARM_ROUNDS if rough else None)
-    loose = np.sqrt(np.diag(plain.camera_covariance)) > MOST_SIGMAS
+    loose = np.sqrt(np.diag(plain.camera_covariance)) > MAX_SIGMAS
     if rough or np.any(loose):
         return plain
     best, lens = plain, _WITH_K1
@@ -153,14 +153,14 @@ def _explain(
     for more in (_K2, _CENTRE):
         richer = fit(best.calibration, best.views, matches, lens | more, best.rocking_sigmas)
         sigmas = np.sqrt(np.diag(richer.camera_covariance))
-        told = np.abs(richer.camera_change[more]) > _LEAST_LENS_SIGMAS * sigmas[more]
-        if not np.any(sigmas > MOST_SIGMAS) and np.any(told):
+        told = np.abs(richer.camera_change[more]) > _MIN_LENS_SIGMAS * sigmas[more]
+        if not np.any(sigmas > MAX_SIGMAS) and np.any(told):
             change = best.camera_change + richer.camera_change
             best, lens = replace(richer, camera_change=change), lens | more
     return best
 
 
-def _pairs(registration: Registration) -> list[Pair]:
+def _pairs(registration: RegisteredDrive) -> list[FramePair]:
     """Return the pairs of frames to compare: all that are linked, and near neighbours."""
     fragments = {
         e.index: e.fragment for e in registration.estimates if e.map_from_robot is not None

@@ -16,10 +16,10 @@ from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame, Link
 from slamcli.stages import adjustment, view
 
-Pair = tuple[int, int]
+FramePair = tuple[int, int]
 Read = Callable[[int], "Frame"]
 
-_LEAST_SHARED = 0.2
+_MIN_SHARED = 0.2
 # Fewer matches leave a pair to what registration said of it, at so many points, held loosely.
 _FEW_MATCHES = 12
 _LOOSE_SIGMA_PIXELS = 3.0
@@ -33,7 +33,7 @@ class Matcher:
     Parameters
     ----------
     calibration : Calibration
-    views : mapping of frame index to View
+    views : mapping of frame index to FramePose
         Where the frames stood, as well as is known.
     links : sequence of Link
         What a pair is left to that shares few spots.
@@ -46,7 +46,7 @@ class Matcher:
     def __init__(
         self,
         calibration: Calibration,
-        views: Mapping[int, adjustment.View],
+        views: Mapping[int, adjustment.FramePose],
         links: Sequence[Link],
         read: Read,
         coarsest: int,
@@ -54,18 +54,18 @@ class Matcher:
         self._calibration, self._views, self._read = calibration, views, read
         self._coarsest = coarsest
         self._links = {(min(link.a, link.b), max(link.a, link.b)): link for link in links}
-        usable = projection.sharpness_image(calibration) > 0.0
+        usable = projection.resolution_image(calibration) > 0.0
         self._usable = np.where(usable, np.uint8(255), np.uint8(0))
         self._pyramid = lru_cache(maxsize=_KEPT_PYRAMIDS)(self._make_pyramid)
 
-    def match(self, pair: Pair, count: int) -> adjustment.Matches | None:
+    def match(self, pair: FramePair, count: int) -> adjustment.Matches | None:
         """Return what two frames share, by up to about `count` spots; None when that is nothing."""
         a, b = pair
         views = self._views[a], self._views[b]
         warp = partial(adjustment.transfer, self._calibration, *views)
         seen = self._seen(warp)
         share = np.count_nonzero(seen & self._usable) / np.count_nonzero(self._usable)
-        if share < _LEAST_SHARED and pair not in self._links:
+        if share < _MIN_SHARED and pair not in self._links:
             return None
         try:
             first, second = self._pyramid(a), self._pyramid(b)
@@ -98,7 +98,7 @@ class Matcher:
         seen = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_NEAREST)
         return np.asarray(seen, np.uint8)
 
-    def _linked(self, pair: Pair, seen: UInt8Array) -> adjustment.Matches | None:
+    def _linked(self, pair: FramePair, seen: UInt8Array) -> adjustment.Matches | None:
         """Return a few spots of the floor as the pair's link maps them, held loosely."""
         rows, columns = np.nonzero(seen & self._usable)
         if not len(rows):
@@ -108,7 +108,7 @@ class Matcher:
         points = np.column_stack([columns[corners], rows[corners]]).astype(np.float64)
         link = self._links[pair]
         a_from_b = link.a_from_b if link.a == pair[0] else link.a_from_b.inverse()
-        views = adjustment.View(Pose2(), Rocking()), adjustment.View(a_from_b, Rocking())
+        views = adjustment.FramePose(Pose2(), Rocking()), adjustment.FramePose(a_from_b, Rocking())
         pixels = adjustment.transfer(self._calibration, *views, points)
         known = np.isfinite(pixels).all(axis=1)
         loose = np.tile(np.eye(2) / _LOOSE_SIGMA_PIXELS, (int(known.sum()), 1, 1))

@@ -9,21 +9,21 @@ import numpy as np
 from scipy.special import chdtri
 
 from slamcli.core.camera.calibration import Calibration
-from slamcli.selfcal.bundle import MOST_SIGMAS, NONE, Survey, fit
+from slamcli.selfcal.bundle import MAX_SIGMAS, NONE, BundleRound, fit
 from slamcli.stages import adjustment
 
 _HELD_OUT = 4
 _SIGNIFICANCE = 0.999
 # A better camera leaves less than this share of the error of matches that it was not made from;
 # what is off by more than so many sigmas is no match.
-_MOST_OF_BEFORE = 0.995
+_MAX_OF_BEFORE = 0.995
 _CLIPPED = 5.0
 # A round that moves the camera by less than this many sigmas, or this little, was the last.
 _SETTLED_SIGMAS = 1.0
 _SETTLED = np.array([2e-5, 2e-5, 2e-5, 2e-6, 2e-6, 2e-6, 2e-6])
 
 
-def left_open(found: adjustment.Adjustment) -> str:
+def unobservable(found: adjustment.Adjustment) -> str:
     """Return which of focal length, pitch and roll the frames leave open; empty when none."""
     sigmas = np.sqrt(np.diag(found.camera_covariance))
     words = (
@@ -37,7 +37,7 @@ def left_open(found: adjustment.Adjustment) -> str:
     )
     loose = [
         word
-        for word, sigma, most in zip(words, sigmas, MOST_SIGMAS, strict=True)
+        for word, sigma, most in zip(words, sigmas, MAX_SIGMAS, strict=True)
         if word and sigma > most
     ]
     if not loose:
@@ -45,7 +45,7 @@ def left_open(found: adjustment.Adjustment) -> str:
     return f"the frames leave open {', '.join(loose)}; drive turns, and let frames overlap more"
 
 
-def confirmed(calibration: Calibration, survey: Survey) -> str:
+def is_confirmed(calibration: Calibration, survey: BundleRound) -> str:
     """Return why the calibration is as good as what was found; empty when it is not."""
     found = survey.found
     free = np.diag(found.camera_covariance) > 0.0
@@ -58,7 +58,7 @@ def confirmed(calibration: Calibration, survey: Survey) -> str:
     return ""
 
 
-def explains_better(calibration: Calibration, survey: Survey) -> bool:
+def explains_better(calibration: Calibration, survey: BundleRound) -> bool:
     """Return whether the camera found explains matches kept from it better than a calibration."""
     found = survey.found
     told = [_part(match, held_out=False) for match in survey.matches]
@@ -68,10 +68,10 @@ def explains_better(calibration: Calibration, survey: Survey) -> bool:
         best = fit(judged, found.views, told, NONE, found.rocking_sigmas)
         lengths = adjustment.residual_lengths(best.calibration, best.views, asked)
         errors.append(float(np.mean(np.minimum(lengths, _CLIPPED * found.scale))))
-    return errors[1] <= _MOST_OF_BEFORE * errors[0]
+    return errors[1] <= _MAX_OF_BEFORE * errors[0]
 
 
-def settled(found: adjustment.Adjustment) -> bool:
+def has_converged(found: adjustment.Adjustment) -> bool:
     """Return whether the camera moved by no more than its uncertainty."""
     sigmas = np.sqrt(np.diag(found.camera_covariance))
     return bool(

@@ -34,7 +34,7 @@ class Readings:
     odometry : tuple of Pose2
         Integrated from the first frame.
     compass_radians : (N,) float64
-        Heading, counter-clockwise from the map's x, declination and noise included.
+        HeadingReading, counter-clockwise from the map's x, declination and noise included.
     gps_degrees : (N, 2) float64
         WGS84 latitude and longitude.
     """

@@ -23,7 +23,7 @@ _RAYS_ACROSS, _RAYS_DOWN = 2, 4
 # Floor beyond this many camera heights is a wall; nobody maps that far.
 _WALL_HEIGHTS = 14.0
 _WALL_BGR = (150.0, 162.0, 170.0)
-_DEEPEST_LEVEL = 5
+_MAX_LEVEL = 5
 _CEILING_METRES = 2.6
 _BLUR_POSES = 5
 _FINEST_METRES_PER_PIXEL, _COARSEST_METRES_PER_PIXEL = 0.00025, 0.001
@@ -226,7 +226,7 @@ def _read(
     if not wanted.any():
         return
     finest = floor.metres_per_pixel
-    level = np.clip(np.round(np.log2(np.maximum(sampling / finest, 1.0))), 0, _DEEPEST_LEVEL)
+    level = np.clip(np.round(np.log2(np.maximum(sampling / finest, 1.0))), 0, _MAX_LEVEL)
     for number in np.unique(level[wanted]):
         inside = wanted & (level == number)
         rows = np.flatnonzero(inside.any(axis=1))

@@ -85,8 +85,8 @@ def pairs(
     uncertainties: Float64Array,
     footprint: Footprint,
     *,
-    least_overlap: float,
-    most_uncertainty: float,
+    min_overlap: float,
+    max_uncertainty: float,
 ) -> Iterator[Pairs]:
     """Yield, for each frame, the earlier ones that see so much of its floor if the poses are right.
 
@@ -114,12 +114,12 @@ def pairs(
     graph = csr_array((steps, (tied[:, 0], tied[:, 1])), shape=(len(poses), len(poses)))
     for first in range(0, len(poses), _FRAMES_AT_ONCE):
         chunk = np.arange(first, min(first + _FRAMES_AT_ONCE, len(poses)))
-        reach = csgraph.dijkstra(graph, directed=False, indices=chunk, limit=most_uncertainty)
+        reach = csgraph.dijkstra(graph, directed=False, indices=chunk, limit=max_uncertainty)
         for b, sigmas in zip(chunk, reach, strict=True):
             near = tree.query_ball_point(middles[b], 2.0 * footprint.radius_metres)
             earlier = np.array([a for a in near if a < b and np.isfinite(sigmas[a])], np.int64)
             motions = relative_poses(poses[earlier], poses[b])
             shares = footprint.overlaps(motions)
             order = np.lexsort((earlier, -shares))
-            order = order[shares[order] >= least_overlap]
+            order = order[shares[order] >= min_overlap]
             yield Pairs(int(b), earlier[order], motions[order], sigmas[earlier[order]])

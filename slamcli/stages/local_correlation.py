@@ -16,10 +16,10 @@ from slamcli.core.arrays import Float32Array, Float64Array
 from slamcli.core.records import View
 
 # Of the pixels of a; coarse enough to forgive a pixel of misfit or of blur.
-_MOST_PIXELS = 250_000
+_MAX_PIXELS = 250_000
 _WINDOW_PIXELS = 17
-_LEAST_DEVIATION_GRAY = 4.0
-_LEAST_WINDOWS = 6
+_MIN_DEVIATION_GRAY = 4.0
+_MIN_WINDOWS = 6
 # Fine detail hangs on the sharpness of either picture.
 _SMOOTHING_PIXELS = 1.2
 
@@ -44,7 +44,7 @@ def local_correlation(view_a: View, view_b: View, a_from_b: Float64Array) -> flo
     finest = max(view_a.grid.metres_per_pixel, area_scale * view_b.grid.metres_per_pixel)
     grid = view_a.grid
     area = grid.width * grid.height * (grid.metres_per_pixel / finest) ** 2
-    pixel = finest * max(1.0, math.sqrt(area / _MOST_PIXELS))
+    pixel = finest * max(1.0, math.sqrt(area / _MAX_PIXELS))
     size = (
         max(1, math.ceil(grid.width * grid.metres_per_pixel / pixel)),
         max(1, math.ceil(grid.height * grid.metres_per_pixel / pixel)),
@@ -87,8 +87,8 @@ def _median_of_windows(first: Float32Array, second: Float32Array, seen: Float32A
     step = _WINDOW_PIXELS // 2
     chosen = np.zeros_like(whole)
     chosen[::step, ::step] = True
-    chosen &= whole & (contrast > _LEAST_DEVIATION_GRAY)
-    if np.count_nonzero(chosen) < _LEAST_WINDOWS:
+    chosen &= whole & (contrast > _MIN_DEVIATION_GRAY)
+    if np.count_nonzero(chosen) < _MIN_WINDOWS:
         return math.nan
     covariance = (mean(a * b) - mean_a * mean_b)[chosen]
     correlation = covariance / np.sqrt(variance_a[chosen] * variance_b[chosen])

@@ -26,20 +26,20 @@ Kind = TypeVar("Kind", bound=np.generic)
 _TABLES = 12
 _KEY_BITS = 20
 # So many entries of a bucket are read, the newest first.
-_MOST_READ = 8
-_MOST_INDEXED = 256
-_MOST_ASKED = 400
+_MAX_READ = 8
+_MAX_INDEXED = 256
+_MAX_ASKED = 400
 # Descriptors of one spot differ by less than this share of their bits, those of others seldom.
-_MOST_DIFFERENCE = 0.24
-_MOST_OF_A_WORD = 24
-_MOST_KEYFRAMES = 12
-_MOST_MATCHES = 80
-_MOST_HYPOTHESES = 200
-_LEAST_VOTES = 5
+_MAX_DIFFERENCE = 0.24
+_MAX_OF_A_WORD = 24
+_MAX_KEYFRAMES = 12
+_MAX_MATCHES = 80
+_MAX_HYPOTHESES = 200
+_MIN_VOTES = 5
 # Of the sigmas of two points, to a residual that they still agree with.
 _AGREEING_SIGMAS = 4.0
 # Two points nearer than this many tolerances turn a motion by chance.
-_LEAST_BASE = 10.0
+_MIN_BASE = 10.0
 _REFITS = 2
 _FIRST_CAPACITY = 1024
 _WORD_BYTES = 8
@@ -47,7 +47,7 @@ _REBUILT_AT_ONCE = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class PlaceCandidate:
     """A keyframe that a frame recalls.
 
     Attributes
@@ -113,7 +113,7 @@ class PlaceIndex:
 
     def add(self, keyframe: int, features: Features) -> None:
         """Remember a keyframe's strongest points under a number (32 bits) of the caller's."""
-        chosen = _strongest(features, _MOST_INDEXED)
+        chosen = _strongest(features, _MAX_INDEXED)
         if not len(chosen):
             return
         words = _words_of(features, chosen)
@@ -129,7 +129,9 @@ class PlaceIndex:
         self._chain(words, first)
         self._count += len(chosen)
 
-    def recall(self, features: Features, excluded: frozenset[int] = frozenset()) -> list[Place]:
+    def query(
+        self, features: Features, excluded: frozenset[int] = frozenset()
+    ) -> list[PlaceCandidate]:
         """Return the keyframes whose points agree with a frame's on one motion, most votes first.
 
         Parameters
@@ -138,7 +140,7 @@ class PlaceIndex:
         excluded : set of int
             Keyframes that are not asked for.
         """
-        asked = _strongest(features, _MOST_ASKED)
+        asked = _strongest(features, _MAX_ASKED)
         if not self._count or not len(asked):
             return []
         query, entry, difference = self._look_up(_words_of(features, asked))
@@ -148,18 +150,18 @@ class PlaceIndex:
             query, entry, difference = query[allowed], entry[allowed], difference[allowed]
             owner = owner[allowed]
         keyframes, counts = np.unique(owner, return_counts=True)
-        many = np.flatnonzero(counts >= _LEAST_VOTES)
-        most = many[np.lexsort((keyframes[many], -counts[many]))][:_MOST_KEYFRAMES]
+        many = np.flatnonzero(counts >= _MIN_VOTES)
+        most = many[np.lexsort((keyframes[many], -counts[many]))][:_MAX_KEYFRAMES]
         points = _points_of(features, asked)
         places = []
         for keyframe in keyframes[most]:
             mine = np.flatnonzero(owner == keyframe)
             mine = mine[np.lexsort((entry[mine], difference[mine]))]
             _, once = np.unique(query[mine], return_index=True)
-            mine = mine[np.sort(once)][:_MOST_MATCHES]
+            mine = mine[np.sort(once)][:_MAX_MATCHES]
             found = _agree(self._points[entry[mine]], points[query[mine]])
             if found is not None:
-                places.append(Place(int(keyframe), *found))
+                places.append(PlaceCandidate(int(keyframe), *found))
         return sorted(places, key=lambda place: (-place.votes, place.keyframe))
 
     def _choose_bits(self, length: int) -> None:
@@ -212,7 +214,7 @@ class PlaceIndex:
         query, table = (index.astype(np.int64) for index in np.nonzero(heads >= 0))
         entry = heads[query, table].astype(np.int64)
         queries, entries = [query], [entry]
-        for _ in range(_MOST_READ - 1):
+        for _ in range(_MAX_READ - 1):
             entry = self._next[entry, table].astype(np.int64)
             alive = entry >= 0
             query, table, entry = query[alive], table[alive], entry[alive]
@@ -222,10 +224,10 @@ class PlaceIndex:
             entries.append(entry)
         query, entry = np.concatenate(queries), np.concatenate(entries)
         # The first word alone tells most that share a key by chance, at a quarter of the cost.
-        alike = np.bitwise_count(self._first_words[entry] ^ words[query, 0]) <= _MOST_OF_A_WORD
+        alike = np.bitwise_count(self._first_words[entry] ^ words[query, 0]) <= _MAX_OF_A_WORD
         query, entry = query[alike], entry[alike]
         unlike = np.bitwise_count(self._words[entry] ^ words[query]).sum(axis=1, dtype=np.int64)
-        near = unlike <= _MOST_DIFFERENCE * 8 * _WORD_BYTES * words.shape[1]
+        near = unlike <= _MAX_DIFFERENCE * 8 * _WORD_BYTES * words.shape[1]
         query, entry, unlike = query[near], entry[near], unlike[near]
         _, once = np.unique(query * self._count + entry, return_index=True)
         return query[once], entry[once], unlike[once]
@@ -269,7 +271,7 @@ def _agree(points_a: Float32Array, points_b: Float32Array) -> tuple[Pose2, int] 
     points_a, points_b : (M, 3) float32
         x, y and sigma, metres.
     """
-    if len(points_a) < _LEAST_VOTES:
+    if len(points_a) < _MIN_VOTES:
         return None
     a, b = points_a[:, :2].astype(np.float64), points_b[:, :2].astype(np.float64)
     tolerance = _AGREEING_SIGMAS * np.hypot(points_a[:, 2], points_b[:, 2]).astype(np.float64)
@@ -277,12 +279,12 @@ def _agree(points_a: Float32Array, points_b: Float32Array) -> tuple[Pose2, int] 
     base_a, base_b = a[second] - a[first], b[second] - b[first]
     length_a, length_b = np.hypot(*base_a.T), np.hypot(*base_b.T)
     slack = np.hypot(tolerance[first], tolerance[second])
-    sound = (np.abs(length_a - length_b) < slack) & (length_a > _LEAST_BASE * slack)
+    sound = (np.abs(length_a - length_b) < slack) & (length_a > _MIN_BASE * slack)
     pairs = np.flatnonzero(sound)
     if not len(pairs):
         return None
     # The longest pairs, for their tolerance, turn a motion least by their points' errors.
-    pairs = pairs[np.argsort(-(length_a / slack)[pairs], kind="stable")[:_MOST_HYPOTHESES]]
+    pairs = pairs[np.argsort(-(length_a / slack)[pairs], kind="stable")[:_MAX_HYPOTHESES]]
     turns = np.arctan2(base_a[pairs, 1], base_a[pairs, 0])
     turns -= np.arctan2(base_b[pairs, 1], base_b[pairs, 0])
     middle_a = 0.5 * (a[first[pairs]] + a[second[pairs]])
@@ -293,12 +295,12 @@ def _agree(points_a: Float32Array, points_b: Float32Array) -> tuple[Pose2, int] 
     best = int(votes.argmax())
     pose, agree = Pose2(), inliers[best]
     for _ in range(_REFITS):
-        if np.count_nonzero(agree) < _LEAST_VOTES:
+        if np.count_nonzero(agree) < _MIN_VOTES:
             return None
         pose = _rigid(a[agree], b[agree], 1.0 / tolerance[agree] ** 2)
         agree = np.hypot(*(pose.apply(b) - a).T) < tolerance
     count = int(np.count_nonzero(agree))
-    return (pose, count) if count >= _LEAST_VOTES else None
+    return (pose, count) if count >= _MIN_VOTES else None
 
 
 def _residuals(

@@ -16,9 +16,9 @@ from slamcli.core.telemetry import OdometryReading, TelemetryOptions
 
 # Stamps are written with six decimals, so that one moment may differ by this in two files.
 SAME_MOMENT_SECONDS = 2e-6
-_FEWEST_MOTIONS = 20
+_MIN_MOTIONS = 20
 _SMALL_ANGLE_RADIANS = 1e-6
-_LEAST_ENERGY = 1e-12
+_MIN_ENERGY = 1e-12
 # Of the median absolute residual: 6 standard deviations of normal noise.
 _OUTLIER_DEVIATIONS = 9.0
 
@@ -63,7 +63,7 @@ class OdometryTrack:
         first = min(after, len(self._stamps) - 1) - 1
         begin, end = self._stamps[first], self._stamps[first + 1]
         apart = end - begin
-        if apart > self._options.longest_gap_seconds or stamp - end > apart:
+        if apart > self._options.max_gap_seconds or stamp - end > apart:
             return None
         return interpolate(self._poses[first], self._poses[first + 1], (stamp - begin) / apart)
 
@@ -167,14 +167,14 @@ def estimate_time_offset(
     """
     stamps, poses = (np.asarray(array, dtype=np.float64) for array in odometry)
     moments, seen = (np.asarray(array, dtype=np.float64) for array in visual)
-    if len(stamps) < 2 or len(moments) <= _FEWEST_MOTIONS:
+    if len(stamps) < 2 or len(moments) <= _MIN_MOTIONS:
         return None
     rates = _rates(moments, seen)
 
     def likelihood(offset: float) -> tuple[float, float]:
         inside = (moments - offset >= stamps[0]) & (moments - offset <= stamps[-1])
         both = inside[:-1] & inside[1:]
-        if both.sum() < _FEWEST_MOTIONS:
+        if both.sum() < _MIN_MOTIONS:
             return -math.inf, 0.0
         felt = _rates(moments, _sample(stamps, poses, moments - offset))[both]
         return _likelihood(felt, rates[both])
@@ -227,7 +227,7 @@ def _likelihood(felt: Float64Array, seen: Float64Array) -> tuple[float, float]:
         kept = _fitting(x, y)
         a, b = x[kept] - x[kept].mean(), y[kept] - y[kept].mean()
         energy = math.sqrt(float(a @ a) * float(b @ b))
-        if energy < _LEAST_ENERGY:
+        if energy < _MIN_ENERGY:
             continue
         correlation = min(max(float(a @ b) / energy, 0.0), 1.0 - 1e-9)
         total -= 0.5 * len(x) * math.log(1.0 - correlation**2)
@@ -240,7 +240,7 @@ def _fitting(x: Float64Array, y: Float64Array) -> BoolArray:
     away = np.abs(x - np.median(x))
     kept: BoolArray = away <= float(np.percentile(away, 98.0))
     spread = float(np.var(x[kept]))
-    if spread < _LEAST_ENERGY:
+    if spread < _MIN_ENERGY:
         return kept
     gain = float(np.mean((x[kept] - x[kept].mean()) * (y[kept] - y[kept].mean()))) / spread
     residuals = y - gain * x

@@ -22,16 +22,16 @@ from slamcli.core.records import Frame, View
 # of several, and what noise they have left is less. Motions err by hundredths of a millimetre more.
 _REGISTRATION_PIXELS, _FEWER_PIXELS = 1.0e6, 0.5e6
 _MANY_TO_ONE = 1.5
-_DEEPEST_LEVEL = 4
+_MAX_LEVEL = 4
 # So much farther than features are of use a line or an edge still tells something; a view that
 # gains less floor than this by it tells no more.
 _FAR_TIMES = 2.2
 _FAR_COARSER = 2.0
-_LEAST_FAR_GAIN = 1.3
+_MIN_FAR_GAIN = 1.3
 # A picture with less contrast than its own noise shows nothing that could be matched.
-_LEAST_DEVIATION_GRAY = 1.0
+_MIN_DEVIATION_GRAY = 1.0
 _SATURATED_GRAY = 250
-_MOST_SATURATED_SHARE = 0.98
+_MAX_SATURATED_SHARE = 0.98
 # Noise is measured in some blocks of a frame, in those of them that are smoothest.
 _NOISE_BLOCK_PIXELS = 20
 _NOISE_BLOCKS = 200
@@ -81,7 +81,7 @@ def registration_metres_per_pixel(calibration: Calibration) -> float:
 
 def make_resampler(
     calibration: Calibration,
-    sharpness: Float32Array,
+    pixels_per_metre: Float32Array,
     grid: Grid,
     robot_from_grid: Pose2,
 ) -> Resampler:
@@ -92,21 +92,21 @@ def make_resampler(
 
     Parameters
     ----------
-    sharpness : (H, W) float32
-        From `camera.sharpness_image`, or weights of the same zeros.
+    pixels_per_metre : (H, W) float32
+        From `projection.resolution_image`, or weights of the same zeros.
     """
-    mapping = projection.sampling_map(calibration, sharpness, grid, robot_from_grid)
-    seen = mapping.sharpness > 0
-    coarser = float(mapping.sharpness.max(initial=0.0)) * grid.metres_per_pixel
-    deepest = min(_DEEPEST_LEVEL, int(math.log2(max(coarser, 1.0))))
+    mapping = projection.sampling_map(calibration, pixels_per_metre, grid, robot_from_grid)
+    seen = mapping.pixels_per_metre > 0
+    coarser = float(mapping.pixels_per_metre.max(initial=0.0)) * grid.metres_per_pixel
+    deepest = min(_MAX_LEVEL, int(math.log2(max(coarser, 1.0))))
     bands = []
     for number in range(deepest + 1):
         low, high = 2.0**number / grid.metres_per_pixel, 2.0 ** (number + 1) / grid.metres_per_pixel
         inside = seen
         if number > 0:
-            inside = inside & (mapping.sharpness >= low)
+            inside = inside & (mapping.pixels_per_metre >= low)
         if number < deepest:
-            inside = inside & (mapping.sharpness < high)
+            inside = inside & (mapping.pixels_per_metre < high)
         if not inside.any():
             continue
         rows, columns = _extent(inside, axis=1), _extent(inside, axis=0)
@@ -139,7 +139,7 @@ def _maps(
 def make_view_resampler(calibration: Calibration, metres_per_pixel: float) -> Resampler:
     """Prepare the camera's own bird's-eye view, in the robot frame."""
     grid = projection.footprint(calibration, metres_per_pixel)
-    return make_resampler(calibration, projection.sharpness_image(calibration), grid, Pose2())
+    return make_resampler(calibration, projection.resolution_image(calibration), grid, Pose2())
 
 
 def make_far_resampler(calibration: Calibration, metres_per_pixel: float) -> Resampler | None:
@@ -149,7 +149,7 @@ def make_far_resampler(calibration: Calibration, metres_per_pixel: float) -> Res
     """
     far = replace(calibration, max_range_metres=_FAR_TIMES * calibration.max_range_metres)
     near_area = ConvexHull(projection.footprint_hull(calibration)).volume
-    if ConvexHull(projection.footprint_hull(far)).volume < _LEAST_FAR_GAIN * near_area:
+    if ConvexHull(projection.footprint_hull(far)).volume < _MIN_FAR_GAIN * near_area:
         return None
     return make_view_resampler(far, _FAR_COARSER * metres_per_pixel)
 
@@ -250,12 +250,12 @@ def check_view(view: View) -> None:
         raise FrameError("no floor in the frame: all of it is masked or out of range")
     means, deviations = cv2.meanStdDev(view.image, mask=view.mask)
     mean, deviation = float(means[0, 0]), float(deviations[0, 0])
-    if deviation < _LEAST_DEVIATION_GRAY:
+    if deviation < _MIN_DEVIATION_GRAY:
         word = "black" if mean < 16 else "white" if mean > 239 else "blank"
         raise FrameError(f"the floor is all {word} (mean gray {mean:.0f}): nothing to match")
     bright = cv2.bitwise_and(cv2.inRange(view.image, _SATURATED_GRAY, 255), view.mask)
     saturated = cv2.countNonZero(bright) / count
-    if saturated > _MOST_SATURATED_SHARE:
+    if saturated > _MAX_SATURATED_SHARE:
         raise FrameError(f"overexposed: {saturated:.0%} of the floor is white; lower the exposure")
 
 

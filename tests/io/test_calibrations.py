@@ -13,7 +13,12 @@ import yaml
 from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.errors import CalibrationError
-from slamcli.io.calibrations import Origin, load_calibration, load_intrinsics, save_calibration
+from slamcli.io.calibrations import (
+    CalibrationSource,
+    load_calibration,
+    load_intrinsics,
+    save_calibration,
+)
 
 SAMPLES = Path(__file__).resolve().parent.parent.parent / "calibration"
 
@@ -63,7 +68,9 @@ def edited(folder: Path, edit: object) -> Path:
 def test_it_comes_back_to_the_last_bit(tmp_path: Path, model: str, distortion: list[float]) -> None:
     written = example(distortion_model=model, distortion=np.array(distortion))
     path = tmp_path / "calibration.yaml"
-    save_calibration(path, written, Origin('a "b" ä: #.png', "square", 0.3, np.eye(4)[:, :2]))
+    save_calibration(
+        path, written, CalibrationSource('a "b" ä: #.png', "square", 0.3, np.eye(4)[:, :2])
+    )
     read = load_calibration(path)
     for name in ("camera_matrix", "distortion", "robot_from_image"):
         assert np.allclose(getattr(read, name), getattr(written, name), rtol=1e-14, atol=0)

@@ -1,4 +1,4 @@
-"""Pictures as they come: every format read alike, every fault named in one line."""
+"""FrameCache as they come: every format read alike, every fault named in one line."""
 
 from __future__ import annotations
 

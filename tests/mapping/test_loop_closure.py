@@ -13,9 +13,9 @@ import pytest
 import slamcli
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame
-from slamcli.mapping.backend.backend import Graph
-from slamcli.mapping.keyframes import Expander, compress
-from slamcli.mapping.loop_closure import Loops
+from slamcli.mapping.backend.backend import Backend
+from slamcli.mapping.keyframes import KeyframeCache, encode_keyframe
+from slamcli.mapping.loop_closure import LoopCloser
 from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import CameraOptions, DisturbanceOptions
 from slamcli.stages import covisibility, dense
@@ -133,8 +133,8 @@ def test_a_motion_that_the_poses_contradict_is_not_believed(circle: slamcli.Mapp
     assert not firm
 
 
-def _graph_of(mapper: slamcli.Mapper, poses: list[Pose2], *, loops: bool) -> Graph:
-    graph = Graph()
+def _graph_of(mapper: slamcli.Mapper, poses: list[Pose2], *, loops: bool) -> Backend:
+    graph = Backend()
     graph.links = [link for link in mapper.links if loops or link.kind != "loop"]
     for estimate in mapper.estimates:
         covariance = np.diag([1e-8, 1e-8, 1e-8])
@@ -145,16 +145,16 @@ def _graph_of(mapper: slamcli.Mapper, poses: list[Pose2], *, loops: bool) -> Gra
 
 def test_two_spots_that_look_alike_are_ambiguous(photographer: photograph.Photographer) -> None:
     mapper = drive(photographer, [Pose2(0.05 * n) for n in range(3)], slamcli.MapperOptions())
-    loops = Loops(photographer.calibration, mapper.options, mapper.grid)
-    graph = Graph()
+    loops = LoopCloser(photographer.calibration, mapper.options, mapper.grid)
+    graph = Backend()
     for index, place in enumerate([Pose2(), Pose2(4.0)]):
         picture = take(photographer, Pose2(), index)
         prepared = mapper.prepare(Frame(index, str(index), None, picture))
-        loops.remember(prepared)
+        loops.add(prepared)
         estimate = mapper.estimates[0]
         graph.adopt(replace(estimate, index=index, map_from_robot=place))
     prepared = mapper.prepare(Frame(9, "9", None, take(photographer, Pose2(0.05), 9)))
-    found = loops.recognise(prepared, graph, after_break=True)
+    found = loops.relocalize(prepared, graph, after_break=True)
     assert found.trial is None
     assert "ambiguous" in found.reason
 
@@ -167,8 +167,8 @@ def test_a_kept_keyframe_compares_like_the_frame_itself(
         mapper.prepare(Frame(n, str(n), None, take(photographer, Pose2(0.05 * n), n)))
         for n in range(2)
     )
-    again = Expander(mapper.grid).expand(compress(first))
-    size = len(compress(first).image) + len(compress(first).mask)
+    again = KeyframeCache(mapper.grid).decode(encode_keyframe(first))
+    size = len(encode_keyframe(first).image) + len(encode_keyframe(first).mask)
     assert size < sum(level.detail.nbytes for level in first.levels) / 10
     true, kept = (dense.agreement(p.levels[0], second.levels[0], np.eye(3)) for p in (first, again))
     assert kept.overlap == true.overlap
@@ -181,8 +181,8 @@ def test_a_kept_keyframe_has_the_same_sift_descriptors(
     options = slamcli.MapperOptions(features=slamcli.FeatureOptions(method="sift", count=200))
     mapper = slamcli.Mapper(photographer.calibration, options)
     prepared = mapper.prepare(Frame(0, "0", None, take(photographer, Pose2(), 0)))
-    kept = compress(prepared)
-    again = Expander(mapper.grid).expand(kept)
+    kept = encode_keyframe(prepared)
+    again = KeyframeCache(mapper.grid).decode(kept)
     assert kept.features.descriptors.dtype == np.uint8
     assert prepared.features is not None
     assert again.features is not None

@@ -1,4 +1,4 @@
-"""Registration by the pixels alone: floors on which features find little, or too much alike."""
+"""RegisteredDrive by the pixels alone: floors on which features find little, or too much alike."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import slamcli
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions, MatchOptions
 from slamcli.core.geometry import Pose2, apply_homography
-from slamcli.core.records import Alignment, Features, Frame, Prepared
-from slamcli.registration import compare, refinement
+from slamcli.core.records import FeatureAlignment, Features, Frame, PreparedFrame
+from slamcli.registration import refinement, register
 from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import CameraOptions, DisturbanceOptions
 from slamcli.stages import align, dense
@@ -36,7 +36,7 @@ def prepared_of(
     pose: Pose2,
     index: int,
     disturbances: DisturbanceOptions | None = None,
-) -> Prepared:
+) -> PreparedFrame:
     generator = np.random.default_rng(index)
     image = photograph.take(
         photographer, (pose, pose), 0.0, disturbances or DisturbanceOptions(), generator
@@ -75,7 +75,7 @@ def test_a_search_finds_the_motion_between_views_of_bare_lines(degrees: float) -
     start = on_circle(0.3)
     motion = Pose2(0.06, 0.01, math.radians(degrees))
     a, b = prepared_of(camera, start, 0), prepared_of(camera, start @ motion, 1)
-    found = dense.search(a.levels[-1], b.levels[-1], dense.Window(), min_overlap=0.1)
+    found = dense.search(a.levels[-1], b.levels[-1], dense.SearchWindow(), min_overlap=0.1)
     metres, turned = error_of(found.candidates[0].a_from_b, motion)
     assert metres < 4.0 * a.levels[-1].metres_per_pixel
     assert turned <= 2.5
@@ -86,7 +86,7 @@ def test_a_search_looks_within_its_window_alone() -> None:
     camera = bare_course()
     start, motion = on_circle(0.3), Pose2(0.10, 0.0, 0.1)
     a, b = prepared_of(camera, start, 0), prepared_of(camera, start @ motion, 1)
-    window = dense.Window(Pose2(0.30, 0.0, 0.1), math.radians(8), 0.1)
+    window = dense.SearchWindow(Pose2(0.30, 0.0, 0.1), math.radians(8), 0.1)
     for candidate in dense.search(a.levels[-1], b.levels[-1], window, min_overlap=0.1).candidates:
         middle = np.array([[0.4, 0.0]])
         apart = candidate.a_from_b.apply(middle) - window.centre.apply(middle)
@@ -117,7 +117,7 @@ def test_the_textureless_course_is_mapped_whole() -> None:
 def test_tiles_that_are_all_alike_are_ambiguous() -> None:
     camera = photographer_of(stripes(0.1, both=True))
     a, b = prepared_of(camera, Pose2(), 0), prepared_of(camera, Pose2(0.03, 0.01, 0.02), 1)
-    trial = compare(a, b, None, CALIBRATION, MapperOptions(), window=dense.Window())
+    trial = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
     assert trial.link is None
     assert "ambiguous" in trial.reason or "open along" in trial.reason
 
@@ -127,7 +127,9 @@ def test_an_expectation_spares_work_and_is_no_evidence(monkeypatch: pytest.Monke
     guesses: list[Pose2 | None] = []
     plain = align.align
 
-    def noted(a: Features, b: Features, matching: MatchOptions, guess: Pose2 | None) -> Alignment:
+    def noted(
+        a: Features, b: Features, matching: MatchOptions, guess: Pose2 | None
+    ) -> FeatureAlignment:
         guesses.append(guess)
         return plain(a, b, matching, guess)
 
@@ -138,7 +140,7 @@ def test_an_expectation_spares_work_and_is_no_evidence(monkeypatch: pytest.Monke
     links = {}
     for expected, asked in ((None, [None]), (near, [near]), (wrong, [wrong, None])):
         guesses.clear()
-        trial = compare(a, b, None, CALIBRATION, MapperOptions(), expected=expected)
+        trial = register(a, b, None, CALIBRATION, MapperOptions(), expected=expected)
         assert guesses == asked
         assert trial.link is not None
         assert error_of(trial.link.a_from_b, motion)[0] < 0.0003
@@ -147,7 +149,7 @@ def test_an_expectation_spares_work_and_is_no_evidence(monkeypatch: pytest.Monke
     tiles = photographer_of(stripes(0.1, both=True))
     a, b = prepared_of(tiles, Pose2(), 0), prepared_of(tiles, motion, 1)
     guesses.clear()
-    assert compare(a, b, None, CALIBRATION, MapperOptions(), expected=motion).link is None
+    assert register(a, b, None, CALIBRATION, MapperOptions(), expected=motion).link is None
     assert guesses == [None]
 
 
@@ -155,7 +157,7 @@ def test_a_single_line_does_not_tell_how_far_along_it_the_robot_went() -> None:
     camera = photographer_of(stripes(5.0, both=False))
     start = Pose2(-0.5, 0.0, 0.0)
     a, b = prepared_of(camera, start, 0), prepared_of(camera, start @ Pose2(0.04, 0.02), 1)
-    trial = compare(a, b, None, CALIBRATION, MapperOptions(), window=dense.Window())
+    trial = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
     assert trial.link is None
     refined = dense.refine(a.levels, b.levels, Pose2(0.04, 0.02), CALIBRATION, 0.0)
     if refined is not None:
@@ -210,7 +212,7 @@ def test_the_errors_of_measured_motions_are_what_their_covariances_say() -> None
 def test_floor_elsewhere_is_not_placed() -> None:
     camera = photographer_of(floors.make_floor("asphalt", 0.0, 0.001, seed=3))
     a, b = prepared_of(camera, Pose2(), 0), prepared_of(camera, Pose2(9.0, 4.0, 1.0), 1)
-    trial = compare(a, b, None, CALIBRATION, MapperOptions(), window=dense.Window())
+    trial = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
     assert trial.link is None
     assert trial.reason
 
@@ -221,14 +223,14 @@ def test_vignetting_does_not_hold_a_line_back() -> None:
     start, motion = on_circle(0.3), Pose2(0.05, 0.0, 0.08)
     dark = DisturbanceOptions(vignetting=0.4, noise_gray=1.0)
     a, b = prepared_of(camera, start, 0, dark), prepared_of(camera, start @ motion, 1, dark)
-    trial = compare(a, b, None, CALIBRATION, MapperOptions(), window=dense.Window())
+    trial = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
     assert trial.link is not None
     metres, degrees = error_of(trial.link.a_from_b, motion)
     assert metres < 0.003
     assert degrees < 0.3
 
 
-def bare_pair(disturbances: DisturbanceOptions) -> tuple[Prepared, Prepared, Pose2]:
+def bare_pair(disturbances: DisturbanceOptions) -> tuple[PreparedFrame, PreparedFrame, Pose2]:
     """Return two frames of a bare floor with a few marks, and the motion between them."""
     photographer = photographer_of(floors.make_floor("bare", 0.5, 0.001, seed=0))
     start, motion = Pose2(0.2, 0.1, 0.3), Pose2(0.05, 0.01, 0.04)
@@ -238,7 +240,7 @@ def bare_pair(disturbances: DisturbanceOptions) -> tuple[Prepared, Prepared, Pos
 
 def test_noise_outvotes_no_mark_on_a_bare_floor() -> None:
     a, b, motion = bare_pair(DisturbanceOptions(noise_gray=12.0))
-    trial = compare(a, b, None, CALIBRATION, MapperOptions(), window=dense.Window())
+    trial = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
     assert trial.link is not None, trial.reason
     metres, degrees = error_of(trial.link.a_from_b, motion)
     assert metres < 0.002
@@ -252,7 +254,7 @@ def test_what_walks_is_left_out_of_the_levels_that_are_refined() -> None:
         :, : image.shape[1] // 2
     ]
     walked = replace(b.levels[0], image=image)
-    kept = dense.agreeing(a.levels[:2], walked, motion.matrix)
+    kept = dense.keep_agreeing_points(a.levels[:2], walked, motion.matrix)
     pixels = apply_homography(b.levels[0].pixel_from_metres, motion.inverse().apply(kept[0].points))
     assert 0 < len(kept[0].points) < len(a.levels[0].points)
     assert pixels[:, 0].min() > image.shape[1] // 2 - 16
@@ -273,7 +275,7 @@ def test_all_of_the_floor_speaks_once_rocking_explains_why_it_disagreed() -> Non
         rocking = DisturbanceOptions(rocking_degrees=0.5)
         image = photograph.take(photographer, way, 0.0, rocking, generator)
         prepared.append(mapper.prepare(Frame(index, f"{index}", None, image)))
-    trial = compare(*prepared, None, calibration, MapperOptions())
+    trial = register(*prepared, None, calibration, MapperOptions())
     assert trial.link is not None
     metres, degrees = error_of(trial.link.a_from_b, motion)
     assert metres < 0.0005
@@ -283,7 +285,9 @@ def test_all_of_the_floor_speaks_once_rocking_explains_why_it_disagreed() -> Non
 ROCKED_MOTION = Pose2(0.05, 0.01, 0.08)
 
 
-def rocked_pair(floor: str, degrees: float, place: int) -> tuple[Calibration, Prepared, Prepared]:
+def rocked_pair(
+    floor: str, degrees: float, place: int
+) -> tuple[Calibration, PreparedFrame, PreparedFrame]:
     """Return the camera and two frames `ROCKED_MOTION` apart, each with a tilt of its own."""
     calibration = photograph.make_camera(CameraOptions())
     world = photograph.World(floors.make_floor(floor, 0.5, 0.001, seed=0))
@@ -309,9 +313,9 @@ def test_rocking_is_told_where_a_steady_fit_correlates_well(floor: str, place: i
     assert steady.rocks
     metres, _ = error_of(steady.a_from_b, ROCKED_MOTION)
     assert metres > 0.0007
-    near = refinement.Pair(a.levels, b.levels)
-    assert refinement.judge_refined(near, steady).correlation > 0.95
-    trial = compare(a, b, None, calibration, MapperOptions())
+    near = refinement.PyramidPair(a.levels, b.levels)
+    assert refinement.score_refined(near, steady).correlation > 0.95
+    trial = register(a, b, None, calibration, MapperOptions())
     assert trial.link is not None
     metres, _ = error_of(trial.link.a_from_b, ROCKED_MOTION)
     assert metres < 0.0003
@@ -332,7 +336,7 @@ def test_a_steady_camera_is_not_said_to_rock(floor: str) -> None:
 def test_a_camera_that_rocks_by_more_than_is_said_is_allowed_to(place: int) -> None:
     """By the sigma that is said, the motions come out 0.16 to 0.37 mm off."""
     calibration, a, b = rocked_pair("carpet", 0.5, place)
-    trial = compare(a, b, None, calibration, MapperOptions())
+    trial = register(a, b, None, calibration, MapperOptions())
     assert trial.link is not None
     metres, _ = error_of(trial.link.a_from_b, ROCKED_MOTION)
     assert metres < 0.00012
@@ -344,8 +348,8 @@ def test_much_rocking_is_found_from_where_less_of_it_led() -> None:
     options = MapperOptions()
     found = align.align(a.features, b.features, options.matching)
     assert found.pose is not None
-    near = refinement.Pair(a.levels, b.levels)
-    fit = refinement.polish(near, found.pose, found.covariance, calibration, options)
+    near = refinement.PyramidPair(a.levels, b.levels)
+    fit = refinement.refine_hypothesis(near, found.pose, found.covariance, calibration, options)
     assert fit is not None
     metres, _ = error_of(fit.pose, ROCKED_MOTION)
     assert metres < 0.00025
@@ -367,8 +371,8 @@ def test_what_a_rocking_camera_makes_disagree_is_not_left_to_another_tile() -> N
         frames.append(mapper.prepare(Frame(index, f"{index}", None, image)))
         poses.append(pose)
     motion = poses[0].inverse() @ poses[1]
-    window = dense.Window(motion, math.radians(40.0), 0.4)
-    trial = compare(frames[0], frames[1], None, calibration, MapperOptions(), window=window)
+    window = dense.SearchWindow(motion, math.radians(40.0), 0.4)
+    trial = register(frames[0], frames[1], None, calibration, MapperOptions(), window=window)
     assert trial.link is not None, trial.reason
     metres, degrees = error_of(trial.link.a_from_b, motion)
     assert metres < 0.002
@@ -380,9 +384,9 @@ def test_the_score_tells_right_motions_from_wrong_ones() -> None:
     motion = Pose2(0.05, 0.01, 0.1)
     a, b = prepared_of(camera, Pose2(), 0), prepared_of(camera, motion, 1)
     elsewhere = prepared_of(camera, Pose2(4.0, 1.0, 0.3), 2)
-    window = dense.Window()
-    right = compare(a, b, None, CALIBRATION, MapperOptions(), window=window)
-    wrong = compare(a, elsewhere, None, CALIBRATION, MapperOptions(), window=window)
+    window = dense.SearchWindow()
+    right = register(a, b, None, CALIBRATION, MapperOptions(), window=window)
+    wrong = register(a, elsewhere, None, CALIBRATION, MapperOptions(), window=window)
     assert right.link is not None
     assert right.link.score == right.score
     assert 0.98 < right.score <= 1.0

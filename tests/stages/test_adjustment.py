@@ -20,7 +20,12 @@ from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration, Rocking
 from slamcli.core.camera.mounting import rocked
 from slamcli.core.geometry import Pose2, apply_homography
-from slamcli.io.calibrations import Origin, load_calibration, load_origin, save_calibration
+from slamcli.io.calibrations import (
+    CalibrationSource,
+    load_calibration,
+    load_origin,
+    save_calibration,
+)
 from slamcli.run.calibrate.self_calibration import true_scale
 from slamcli.simulation.config import CameraOptions
 from slamcli.simulation.photograph import make_camera
@@ -68,7 +73,7 @@ def look(
     """Return what frames two apart or less share, every tenth match a wrong one."""
     generator = np.random.default_rng(5)
     width, height = calibration.image_size
-    views = {i: adjustment.View(pose, rockings.get(i, Rocking())) for i, pose in poses.items()}
+    views = {i: adjustment.FramePose(pose, rockings.get(i, Rocking())) for i, pose in poses.items()}
     matches = []
     for a, b in [(a, a + apart) for a in poses for apart in (1, 2) if a + apart in poses]:
         pixels_a = generator.uniform([0, height * 0.2], [width, height], (150, 2))
@@ -88,7 +93,7 @@ def adjusted(
 ) -> adjustment.Adjustment:
     generator = np.random.default_rng(6)
     views = {
-        index: adjustment.View(
+        index: adjustment.FramePose(
             pose @ Pose2(*generator.normal(0.0, 0.005, 3)) if index else pose, Rocking()
         )
         for index, pose in poses.items()
@@ -111,17 +116,17 @@ def test_the_derivatives_are_those_of_the_transfer(true_camera: Calibration, mod
         distortion_model=model,  # type: ignore[arg-type]
         distortion=np.array([-0.1, 0.02, 0.0, 0.0]),
     )
-    a = adjustment.View(Pose2(1.0, 2.0, 0.3), Rocking(0.01, -0.02, 0.01))
-    b = adjustment.View(Pose2(1.1, 2.05, 0.5), Rocking(-0.01, 0.01, 0.003))
+    a = adjustment.FramePose(Pose2(1.0, 2.0, 0.3), Rocking(0.01, -0.02, 0.01))
+    b = adjustment.FramePose(Pose2(1.1, 2.05, 0.5), Rocking(-0.01, 0.01, 0.003))
     pixels = np.random.default_rng(0).uniform([100, 200], [500, 450], (20, 2))
     found = transfer_with_jacobians(calibration, a, b, pixels)
     small = 1e-6
 
-    def moved(view: adjustment.View, number: int, by: float) -> adjustment.View:
+    def moved(view: adjustment.FramePose, number: int, by: float) -> adjustment.FramePose:
         change = np.zeros(6)
         change[number] = by
         height = calibration.height_metres + view.rocking.height_metres
-        return adjustment.View(
+        return adjustment.FramePose(
             view.map_from_robot @ Pose2(*change[:3]),
             Rocking(
                 view.rocking.pitch_radians + change[3],
@@ -258,7 +263,7 @@ def test_the_square_holds_the_height(true_camera: Calibration, tmp_path: Path) -
     corners, seen = projection.project_floor(true_camera, floor)
     assert seen.all()
     wrong = rocked(true_camera, Rocking(0.0, 0.0, 0.03))
-    save_calibration(tmp_path / "a.yaml", wrong, Origin("p.png", "square", 0.3, corners))
+    save_calibration(tmp_path / "a.yaml", wrong, CalibrationSource("p.png", "square", 0.3, corners))
     origin = load_origin(tmp_path / "a.yaml")
     assert true_scale(origin, true_camera) == pytest.approx(1.0, abs=1e-4)
     assert true_scale(origin, wrong) == pytest.approx(0.3 / 0.33, abs=1e-3)

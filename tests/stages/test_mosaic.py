@@ -15,7 +15,7 @@ from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import Blend, PaintOptions
 from slamcli.core.geometry import Grid, Pose2, apply_homography
-from slamcli.core.records import Frame, Shot, Tile
+from slamcli.core.records import Frame, PosedFrame, Tile
 from slamcli.stages.mosaic import blend, exposure, obstacles, sampling, tiles, view_consistency
 from slamcli.stages.mosaic.exposure import Exposure
 from slamcli.stages.mosaic.painter import Painter
@@ -43,15 +43,16 @@ def paint(
     how: Blend = "best",
     light: Exposure | None = None,
     *,
-    standing: bool = True,
+    obstacles: bool = True,
     calibrations: list[Calibration] | None = None,
 ) -> Tile:
     calibration = forward_camera()
     own = calibrations or [calibration] * len(frames)
     shots = [
-        Shot(frame.index, POSES[frame.index], one) for frame, one in zip(frames, own, strict=True)
+        PosedFrame(frame.index, POSES[frame.index], one)
+        for frame, one in zip(frames, own, strict=True)
     ]
-    painter = Painter(calibration, SCALE, PaintOptions(blend=how, standing=standing), light)
+    painter = Painter(calibration, SCALE, PaintOptions(blend=how, obstacles=obstacles), light)
     made = [painter.picture(frame, number) for number, frame in enumerate(frames)]
     numbers = dict(painter.plan(shots))[KEY]
     tile = painter.paint(KEY, shots, numbers, made.__getitem__)
@@ -67,7 +68,7 @@ def truth() -> NDArray[np.float64]:
 
 
 def decibels(tile: Tile, inside: NDArray[np.bool_] | None = None) -> float:
-    chosen = tile.sharpness > 0 if inside is None else inside
+    chosen = tile.pixels_per_metre > 0 if inside is None else inside
     error = (tile.image[..., 1].astype(np.float64) - truth())[chosen]
     return 10 * math.log10(255**2 / float(np.mean(error**2)))
 
@@ -83,9 +84,9 @@ def energy(image: NDArray[np.generic], inside: NDArray[np.bool_]) -> float:
 def test_the_best_blend_is_nearer_to_the_floor_and_sharper_than_the_mean() -> None:
     frames = pictures()
     best, mean = paint(frames), paint(frames, "mean")
-    seen = (best.sharpness > 0) & (mean.sharpness > 0)
+    seen = (best.pixels_per_metre > 0) & (mean.pixels_per_metre > 0)
     assert seen.mean() > 0.8
-    np.testing.assert_array_equal(best.sharpness > 0, mean.sharpness > 0)
+    np.testing.assert_array_equal(best.pixels_per_metre > 0, mean.pixels_per_metre > 0)
     assert decibels(best) > 27.0
     assert decibels(best) > decibels(mean) + 0.5
     sharp = energy(truth(), seen)
@@ -97,7 +98,7 @@ def test_the_best_blend_is_nearer_to_the_floor_and_sharper_than_the_mean() -> No
 def test_every_blend_shows_the_floor(how: Blend) -> None:
     frames = pictures()
     tile = paint(frames, how)
-    np.testing.assert_array_equal(tile.sharpness > 0, paint(frames).sharpness > 0)
+    np.testing.assert_array_equal(tile.pixels_per_metre > 0, paint(frames).pixels_per_metre > 0)
     assert decibels(tile) > 25.0
 
 
@@ -177,14 +178,14 @@ def test_what_passes_through_some_views_is_kept_out_and_shown_apart() -> None:
         spoilt = frames[number].image.copy()
         cv2.fillConvexPoly(spoilt, np.rint(pixels).astype(np.int32), (20, 20, 220))
         frames[number] = replace(frames[number], image=spoilt)
-    kept, through = paint(frames), paint(frames, standing=False)
+    kept, through = paint(frames), paint(frames, obstacles=False)
     assert decibels(kept) > decibels(clean) - 1.0
     assert decibels(through) < decibels(clean) - 3.0
-    assert clean.standing is None
-    assert kept.standing is not None
+    assert clean.obstacles is None
+    assert kept.obstacles is not None
     grid = tiles.tile_grid(KEY, SCALE)
     middle = grid.pixel_from_metres @ (*place.mean(axis=0), 1.0)
-    shown = kept.standing[round(middle[1]), round(middle[0])]
+    shown = kept.obstacles[round(middle[1]), round(middle[0])]
     np.testing.assert_allclose(shown[:3], (20, 20, 220), atol=3)
     assert shown[3] == obstacles.PASSED_ALPHA
 
@@ -195,7 +196,7 @@ def test_a_thing_is_followed_to_where_only_two_views_see_the_floor() -> None:
     weights[1:3, 10:] = 0.0
     cells[0, 4:16, 6:13] = 20
     weights[0] = 2.0
-    shows = view_consistency.agreeing(cells, weights)
+    shows = view_consistency.floor_views(cells, weights)
     assert not shows[0, 5:15, 6:13].any()
     assert shows[3].all()
     assert shows[0, :, :4].all()
@@ -209,15 +210,15 @@ def rough_floor(views: int) -> np.ndarray:
     return np.clip(noisy, 0, 255).astype(np.uint8)
 
 
-@pytest.mark.parametrize("sharpness", [[1.0, 3.0], [3.0, 1.0], [1.0, 3.0, 1.0]])
-def test_a_thing_ends_where_floor_goes_on(sharpness: list[float]) -> None:
+@pytest.mark.parametrize("pixels_per_metre", [[1.0, 3.0], [3.0, 1.0], [1.0, 3.0, 1.0]])
+def test_a_thing_ends_where_floor_goes_on(pixels_per_metre: list[float]) -> None:
     # Two views of a spot do not outvote each other, and a sharp one outweighs two: only that the
     # second's ends where they differ tells that it is the thing.
-    cells = rough_floor(len(sharpness))
+    cells = rough_floor(len(pixels_per_metre))
     cells[1, 12:26, 14:30] = (60, 90, 70)
-    weights = np.full((len(sharpness), 40, 40), 1.0, np.float32)
-    weights *= np.array(sharpness, np.float32)[:, None, None]
-    shows = view_consistency.agreeing(cells, weights, 2)
+    weights = np.full((len(pixels_per_metre), 40, 40), 1.0, np.float32)
+    weights *= np.array(pixels_per_metre, np.float32)[:, None, None]
+    shows = view_consistency.floor_views(cells, weights, 2)
     assert not shows[1, 12:26, 14:30].any()
     assert shows[0].all()
     assert shows[1, :8].all()
@@ -231,7 +232,7 @@ def test_a_thing_at_a_views_border_is_found_however_narrow_its_part() -> None:
     weights[1] = 3.0
     # The first sees two columns of it, which elsewhere would pass for a displaced edge.
     weights[0, :, 16:] = 0.0
-    shows = view_consistency.agreeing(cells, weights, 2)
+    shows = view_consistency.floor_views(cells, weights, 2)
     assert not shows[1, 12:26, 14:30].any()
     assert shows[0, :, :16].all()
     assert shows[2].all()
@@ -239,7 +240,7 @@ def test_a_thing_at_a_views_border_is_found_however_narrow_its_part() -> None:
 
 def test_two_views_that_differ_everywhere_decide_nothing() -> None:
     cells = np.stack([np.full((8, 8, 3), 50, np.uint8), np.full((8, 8, 3), 200, np.uint8)])
-    assert view_consistency.agreeing(cells, np.ones((2, 8, 8), np.float32)).all()
+    assert view_consistency.floor_views(cells, np.ones((2, 8, 8), np.float32)).all()
 
 
 def test_each_frame_may_have_a_tilt_of_its_own() -> None:
@@ -254,8 +255,8 @@ def test_each_frame_may_have_a_tilt_of_its_own() -> None:
     frames[7] = replace(frames[7], image=odd)
     own = [forward_camera()] * 8
     own[7] = tilted
-    assert decibels(paint(frames, calibrations=own, standing=False)) > 27.0
-    assert decibels(paint(frames, standing=False)) < 25.0
+    assert decibels(paint(frames, calibrations=own, obstacles=False)) > 27.0
+    assert decibels(paint(frames, obstacles=False)) < 25.0
 
 
 def test_a_lens_is_read_through_where_each_point_lies() -> None:
@@ -270,7 +271,7 @@ def test_a_lens_is_read_through_where_each_point_lies() -> None:
     grid = Grid(0.4, 0.2, SCALE, 200, 200)
     read = []
     for calibration, pixels in ((bent, image), (straight, seen)):
-        usable = sampling.border_fade(projection.sharpness_image(calibration))
+        usable = sampling.border_fade(projection.resolution_image(calibration))
         made = sampling.make_picture(pixels, usable, None, 1)
         read.append(sampling.sample(made, calibration, POSES[0], grid))
     both = (read[0].weight > 0) & (read[1].weight > 0)
@@ -286,7 +287,7 @@ def test_a_coarse_map_lies_where_the_floor_does(scale: float) -> None:
     smooth = cv2.GaussianBlur(FLOOR, (0, 0), 8.0)
     picture = photograph(smooth, FLOOR_GRID, calibration, POSES[0])
     half = cv2.resize(picture, (320, 240), interpolation=cv2.INTER_AREA)
-    usable = sampling.border_fade(projection.sharpness_image(calibration))
+    usable = sampling.border_fade(projection.resolution_image(calibration))
     grid = Grid(0.2, 0.2, scale, round(0.4 / scale), round(0.4 / scale))
     whole, halved = (
         sampling.sample(
@@ -332,10 +333,10 @@ def test_a_small_pictures_pyramid_ends_with_one_pixel() -> None:
     ]
 
 
-def test_weight_grows_with_sharpness_and_fades_at_the_border() -> None:
-    sharpness = np.full((100, 100), 500.0, np.float32)
-    sharpness[:, 80:] = 0.0
-    fade = sampling.border_fade(sharpness)
+def test_weight_grows_with_resolution_and_fades_at_the_border() -> None:
+    pixels_per_metre = np.full((100, 100), 500.0, np.float32)
+    pixels_per_metre[:, 80:] = 0.0
+    fade = sampling.border_fade(pixels_per_metre)
     assert fade[40, 40] == 255
     assert 0 < fade[40, 79] < fade[40, 70] < 255
     assert not fade[:, 80:].any()

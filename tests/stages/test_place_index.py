@@ -61,14 +61,14 @@ def test_a_place_is_recalled_with_its_motion(kind: str) -> None:
     for number, pose in enumerate(poses):
         index.add(100 + number, world.look(pose, number))
     now = poses[5] @ Pose2(0.1, -0.15, 2.8)
-    places = index.recall(world.look(now, 50))
+    places = index.query(world.look(now, 50))
     assert places[0].votes >= 8
     for place in places:
         error = (poses[place.keyframe - 100].inverse() @ now).inverse() @ place.keyframe_from_now
         assert error.translation_length < 0.003
         assert abs(math.degrees(error.theta)) < 0.5
     nearest = places[0].keyframe
-    fewer = index.recall(world.look(now, 50), frozenset({nearest}))
+    fewer = index.query(world.look(now, 50), frozenset({nearest}))
     assert nearest not in {place.keyframe for place in fewer}
 
 
@@ -78,7 +78,7 @@ def test_floor_never_seen_recalls_nothing() -> None:
     for number in range(20):
         index.add(number, known.look(Pose2(0.1 * number - 1.0), number))
     for number in range(20):
-        assert not index.recall(unknown.look(Pose2(0.1 * number - 1.0, 0.3), number))
+        assert not index.query(unknown.look(Pose2(0.1 * number - 1.0, 0.3), number))
 
 
 def test_the_same_points_in_another_order_on_the_floor_are_no_place() -> None:
@@ -88,8 +88,8 @@ def test_the_same_points_in_another_order_on_the_floor_are_no_place() -> None:
     index.add(0, seen)
     shuffled = np.random.default_rng(0).permutation(seen.points)
     elsewhere = replace(seen, points=shuffled)
-    assert index.recall(seen)[0].votes > 50
-    assert not index.recall(elsewhere)
+    assert index.query(seen)[0].votes > 50
+    assert not index.query(elsewhere)
 
 
 def test_a_look_up_reads_no_more_of_a_large_map_than_of_a_small_one() -> None:
@@ -106,7 +106,7 @@ def test_a_look_up_reads_no_more_of_a_large_map_than_of_a_small_one() -> None:
     for number in range(50):
         index.add(number, same)
     query, _, _ = index._look_up(np.zeros((1, 4), np.uint64))
-    assert len(query) <= place_index._MOST_READ * place_index._TABLES < 200
+    assert len(query) <= place_index._MAX_READ * place_index._TABLES < 200
 
 
 def test_recalling_is_the_same_each_time() -> None:
@@ -116,7 +116,7 @@ def test_recalling_is_the_same_each_time() -> None:
         index = PlaceIndex()
         for number in range(10):
             index.add(number, world.look(Pose2(0.1 * number), number))
-        answers.append(index.recall(world.look(Pose2(0.45, 0.1, 1.0), 99)))
+        answers.append(index.query(world.look(Pose2(0.45, 0.1, 1.0), 99)))
     assert answers[0] == answers[1]
 
 
@@ -134,5 +134,5 @@ def test_an_index_goes_on_from_a_kept_state_as_if_it_had_not_been_cut_off() -> N
     np.testing.assert_array_equal(kept._heads, whole._heads)
     np.testing.assert_array_equal(kept._next[: kept._count], whole._next[: whole._count])
     now = world.look(Pose2(0.45, 0.1, 1.0), 99)
-    assert kept.recall(now) == whole.recall(now) != []
-    assert pickle.loads(pickle.dumps(PlaceIndex())).recall(now) == []
+    assert kept.query(now) == whole.query(now) != []
+    assert pickle.loads(pickle.dumps(PlaceIndex())).query(now) == []

@@ -71,7 +71,7 @@ def test_fine_texture_does_not_alias_where_the_raster_is_coarse() -> None:
     calibration = calibration_of(pitch_degrees=60.0)
     grid = Grid.covering(projection.footprint_hull(calibration), 0.01)
     resampler = view.make_resampler(
-        calibration, projection.sharpness_image(calibration), grid, Pose2()
+        calibration, projection.resolution_image(calibration), grid, Pose2()
     )
     seen = view.make_view(picture_of(calibration, 0.009), resampler, gray=True)
     near = seen.image[seen.mask > 0]

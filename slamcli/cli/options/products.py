@@ -29,9 +29,9 @@ product_options = stacked(
         help="Even out exposure and vignetting [default], or paint pictures as they are.",
     ),
     click.option(
-        "--standing/--no-standing",
-        default=_PRODUCTS.paint.standing,
-        help="Keep what stands on the floor or moves out of it, in standing.png [default], or not.",
+        "--obstacles/--no-obstacles",
+        default=_PRODUCTS.paint.obstacles,
+        help="Keep what stands or moves on the floor out of it, in obstacles.png [default], or not.",
     ),
     click.option(
         "--format",
@@ -76,7 +76,7 @@ product_options = stacked(
         type=Bytes(),
         default="1.4G",
         show_default=True,
-        help="Pictures and canvases get what the poses leave of it; the map may be larger.",
+        help="FrameCache and canvases get what the poses leave of it; the map may be larger.",
     ),
 )
 
@@ -89,7 +89,7 @@ def products_of(told: Mapping[str, Any]) -> ProductOptions:
             metres_per_pixel=told["metres_per_pixel"],
             blend=told["blend"],
             gain=told["gain"],
-            standing=told["standing"],
+            obstacles=told["obstacles"],
         ),
         formats=told["formats"],
         layers=told["layers"],

@@ -254,14 +254,14 @@ def default_metres_per_pixel(calibration: Calibration) -> float:
     if calibration.unit == "px":
         return 1.0
     hull = ConvexHull(footprint_hull(calibration))
-    seen_pixels = np.count_nonzero(sharpness_image(calibration))
+    seen_pixels = np.count_nonzero(resolution_image(calibration))
     typical = math.sqrt(float(hull.volume) / seen_pixels)
     power = 10.0 ** math.floor(math.log10(typical))
     return power * max(step for step in _ROUND_STEPS if step * power <= typical * (1 + 1e-9))
 
 
 @lru_cache(maxsize=2)
-def sharpness_image(calibration: Calibration) -> Float32Array:
+def resolution_image(calibration: Calibration) -> Float32Array:
     """Return (H, W): how many pixels a metre of floor spans, at each pixel of the camera's picture.
 
     The geometric mean of both directions; 0 where the pixel shows no floor within range, or just
@@ -279,11 +279,11 @@ def sharpness_image(calibration: Calibration) -> Float32Array:
     seen = (w > 0) & (x * x + y * y <= (reach * w) ** 2)
     # A pixel covers |det H| / w^3 of floor, the Jacobian determinant of the plane map x -> Hx / w.
     determinant = abs(float(np.linalg.det(calibration.robot_from_image)))
-    sharpness = np.zeros((height, width), dtype=np.float32)
-    np.sqrt(w**3 / np.float32(determinant), out=sharpness, where=seen)
+    pixels_per_metre = np.zeros((height, width), dtype=np.float32)
+    np.sqrt(w**3 / np.float32(determinant), out=pixels_per_metre, where=seen)
     # All who ask are given the same array.
-    sharpness.setflags(write=False)
-    return sharpness
+    pixels_per_metre.setflags(write=False)
+    return pixels_per_metre
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -293,19 +293,19 @@ class SamplingMap:
     Attributes
     ----------
     columns, rows : (h, w) float32
-        In the camera's picture; meaningful only where the sharpness is not 0.
-    sharpness : (h, w) float32
+        In the camera's picture; meaningful only where the resolution is not 0.
+    pixels_per_metre : (h, w) float32
         Of the raster given, at those places; 0 where the floor is not seen.
     """
 
     columns: Float32Array
     rows: Float32Array
-    sharpness: Float32Array
+    pixels_per_metre: Float32Array
 
 
 def sampling_map(
     calibration: Calibration,
-    sharpness: Float32Array,
+    pixels_per_metre: Float32Array,
     grid: Grid,
     robot_from_grid: Pose2,
 ) -> SamplingMap:
@@ -313,8 +313,8 @@ def sampling_map(
 
     Parameters
     ----------
-    sharpness : (H, W) float32
-        From `sharpness_image`, or weights of the same zeros.
+    pixels_per_metre : (H, W) float32
+        From `resolution_image`, or weights of the same zeros.
     grid : Grid
         In any frame on the floor (the robot's own, or the map).
     robot_from_grid : Pose2
@@ -324,7 +324,7 @@ def sampling_map(
     homography = calibration.image_from_robot @ robot_from_pixel
     normalised_from_pixel = invert(calibration.camera_matrix) @ homography
     # OpenCV's rectification maps take any plane homography for the "rotation" and apply the lens.
-    # Floor behind the camera comes out above the horizon, where the sharpness is 0.
+    # Floor behind the camera comes out above the horizon, where the resolution is 0.
     arguments = (invert(normalised_from_pixel), np.eye(3), (grid.width, grid.height))
     if calibration.distortion_model == "equidistant":
         columns, rows = cv2.fisheye.initUndistortRectifyMap(
@@ -334,7 +334,9 @@ def sampling_map(
         columns, rows = cv2.initUndistortRectifyMap(
             calibration.camera_matrix, calibration.distortion, *arguments, cv2.CV_32FC1
         )
-    sharp = np.asarray(cv2.remap(sharpness, columns, rows, cv2.INTER_LINEAR), dtype=np.float32)
+    sharp = np.asarray(
+        cv2.remap(pixels_per_metre, columns, rows, cv2.INTER_LINEAR), dtype=np.float32
+    )
     sharp[_out_of_range(calibration, robot_from_pixel, grid)] = 0.0
     if np.any(calibration.distortion):
         # Outside the undistorted picture the lens polynomial may fold back into it.

@@ -1,14 +1,13 @@
 """The records that cross the walls between stages; all frozen, arrays never written to."""
 
-from slamcli.core.records.features import Alignment, DescriptorNorm, Features, Keypoints
-from slamcli.core.records.frames import DenseLevel, Frame, Keyframe, Prepared, View
+from slamcli.core.records.features import DescriptorNorm, FeatureAlignment, Features, Keypoints
+from slamcli.core.records.frames import Frame, Keyframe, PreparedFrame, PyramidLevel, View
 from slamcli.core.records.graph import FloorMap, Link, LinkKind, PoseEstimate, Status
-from slamcli.core.records.mosaic import Shot, Tile
+from slamcli.core.records.mosaic import PosedFrame, Tile
 
 __all__ = [
-    "Alignment",
-    "DenseLevel",
     "DescriptorNorm",
+    "FeatureAlignment",
     "Features",
     "FloorMap",
     "Frame",
@@ -17,8 +16,9 @@ __all__ = [
     "Link",
     "LinkKind",
     "PoseEstimate",
-    "Prepared",
-    "Shot",
+    "PosedFrame",
+    "PreparedFrame",
+    "PyramidLevel",
     "Status",
     "Tile",
     "View",

@@ -86,7 +86,7 @@ class Features:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Alignment:
+class FeatureAlignment:
     """One transform fitted to the matches of two sets of features, or why none is believed.
 
     Attributes

@@ -56,7 +56,7 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DenseLevel:
+class PyramidLevel:
     """One level of a view's pyramid, ready to be compared pixel by pixel.
 
     Attributes
@@ -105,7 +105,7 @@ class DenseLevel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prepared:
+class PreparedFrame:
     """What one frame gives to the mapper: all that can be computed without any other frame.
 
     Attributes
@@ -117,9 +117,9 @@ class Prepared:
     features : Features or None
     reason : str
         Why the frame could not be used; empty when it could.
-    levels : tuple of DenseLevel
+    levels : tuple of PyramidLevel
         Of the view, from half resolution on.
-    far_levels : tuple of DenseLevel
+    far_levels : tuple of PyramidLevel
         Of a coarser view that reaches farther; empty where the camera sees no farther.
     repeats : (K, 2) float64
         Shifts, metres in the robot's axes, by which the view looks like itself.
@@ -131,8 +131,8 @@ class Prepared:
     view: View | None
     features: Features | None
     reason: str = ""
-    levels: tuple[DenseLevel, ...] = ()
-    far_levels: tuple[DenseLevel, ...] = ()
+    levels: tuple[PyramidLevel, ...] = ()
+    far_levels: tuple[PyramidLevel, ...] = ()
     repeats: Float64Array = field(default_factory=lambda: np.empty((0, 2)))
 
 

@@ -10,7 +10,7 @@ from slamcli.core.geometry import Grid, Pose2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class PosedFrame:
     """A frame that has its place, ready to be painted.
 
     Attributes
@@ -37,10 +37,10 @@ class Tile:
     grid : Grid
         In the map frame.
     image : (h, w, 3) uint8, BGR
-    sharpness : (h, w) float32
+    pixels_per_metre : (h, w) float32
         Pixels of a picture to a metre of floor, in the view that saw the floor best; 0 where
         nothing was seen.
-    standing : (h, w, 4) uint8 BGRA or None
+    obstacles : (h, w, 4) uint8 BGRA or None
         What is not floor: opaque where it stands, half transparent where it was for a time only;
         None when there is nothing.
     views : (h, w) uint16
@@ -51,7 +51,7 @@ class Tile:
 
     grid: Grid
     image: UInt8Array
-    sharpness: Float32Array
-    standing: UInt8Array | None
+    pixels_per_metre: Float32Array
+    obstacles: UInt8Array | None
     views: UInt16Array
     latest: Int32Array

@@ -29,8 +29,8 @@ from slamcli.core.records import (
 )
 from slamcli.io.files import write_bytes
 from slamcli.io.map_file.header import (
-    MOST_METRES,
-    MOST_POINTS,
+    MAX_METRES,
+    MAX_POINTS,
     calibration_header,
     parse_calibration,
     parse_features,
@@ -44,8 +44,8 @@ FORMAT_VERSION = 2
 _MAGIC = b"slamcli map "
 _DIGEST_BYTES = 32
 _LENGTH_BYTES = 8
-_MOST_BYTES = 16 * 2**30
-_MOST_KEYFRAMES = 2_000_000
+_MAX_BYTES = 16 * 2**30
+_MAX_KEYFRAMES = 2_000_000
 _KINDS = {
     **DRIVE_KINDS,
     "rows": "<i8",
@@ -119,8 +119,8 @@ def load_map(path: str | Path) -> FloorMap:
 def _read_body(file: Path) -> bytes:
     """Return what the checksum covers, once it is right."""
     try:
-        if file.stat().st_size > _MOST_BYTES:
-            raise MapError(f"{file} is larger than any map ({_MOST_BYTES >> 30} GB)")
+        if file.stat().st_size > _MAX_BYTES:
+            raise MapError(f"{file} is larger than any map ({_MAX_BYTES >> 30} GB)")
         data = file.read_bytes()
     except OSError as error:
         raise MapError(
@@ -158,7 +158,7 @@ def _parse(body: bytes) -> FloorMap:
     return FloorMap(
         parse_calibration(header["calibration"]),
         features,
-        parse_number(header["metres_per_pixel"], "metres_per_pixel", 1e-9, MOST_METRES),
+        parse_number(header["metres_per_pixel"], "metres_per_pixel", 1e-9, MAX_METRES),
         parse_number(header["tilt_sigma_degrees"], "tilt_sigma_degrees", 0.0, 90.0),
         keyframes,
         estimates,
@@ -174,7 +174,7 @@ def _parse_arrays(listed: Any, data: memoryview) -> dict[str, AnyArray]:
         kind, shape = listed[name]
         if kind != known and (known or kind not in {"|u1", "<f4"}):
             raise MapError(f"its {name} are of kind {kind!r}")
-        if not all(type(n) is int and 0 <= n <= _MOST_BYTES for n in shape) or len(shape) > 3:
+        if not all(type(n) is int and 0 <= n <= _MAX_BYTES for n in shape) or len(shape) > 3:
             raise MapError(f"its {name} have shape {shape}")
         count = math.prod(shape)
         size = count * np.dtype(kind).itemsize
@@ -238,11 +238,11 @@ def _check_shapes(arrays: dict[str, AnyArray], norm: DescriptorNorm) -> None:
         raise MapError(f"its descriptors have shape {descriptors.shape}")
     if norm != "l2" and descriptors.dtype != np.uint8:
         raise MapError(f"its descriptors do not suit the norm {norm}")
-    if not 1 <= count <= _MOST_KEYFRAMES:
+    if not 1 <= count <= _MAX_KEYFRAMES:
         raise MapError(f"it has {count} keyframes")
     if rows.min() < 0 or rows.max() >= 2**31 or len(np.unique(rows[:, 0])) != count:
         raise MapError("the numbers of its keyframes are wrong")
-    if rows[:, 1].max() > MOST_POINTS or rows[:, 1].sum() != total:
+    if rows[:, 1].max() > MAX_POINTS or rows[:, 1].sum() != total:
         raise MapError("the numbers of its points are wrong")
     if rows[:, 2:4].sum() != len(arrays["pictures"]):
         raise MapError("the lengths of its pictures are wrong")
@@ -256,7 +256,7 @@ def _check_numbers(arrays: dict[str, AnyArray]) -> None:
             raise MapError(f"its {name} hold a number that is not finite")
     points = arrays["points"]
     least = min(float(arrays[name].min(initial=1.0)) for name in ("sigmas", "sizes"))
-    if np.abs(points).max(initial=0.0) > MOST_METRES or least <= 0.0:
+    if np.abs(points).max(initial=0.0) > MAX_METRES or least <= 0.0:
         raise MapError("its points, their sigmas or their sizes are out of range")
     # Points of an upright or a trained kind have no angle: nan.
     if np.isinf(arrays["angles"]).any():

@@ -13,11 +13,11 @@ from slamcli.core.camera.calibration import Calibration, DistortionModel, Unit
 from slamcli.core.config import FeatureMethod, FeatureOptions
 from slamcli.core.errors import MapError
 
-_MOST_SIDE_PIXELS = 32_768
-MOST_METRES = 1e7
-MOST_POINTS = 100_000
+_MAX_SIDE_PIXELS = 32_768
+MAX_METRES = 1e7
+MAX_POINTS = 100_000
 _FEATURE_RANGES: dict[str, tuple[float, float]] = {
-    "count": (1, MOST_POINTS),
+    "count": (1, MAX_POINTS),
     "scale_factor": (1.01, 4.0),
     "levels": (1, 32),
     "edge_threshold": (1, 1024),
@@ -71,7 +71,7 @@ def parse_calibration(section: Any) -> Calibration:
     )
     width, height = section["image_size"]
     size = tuple(
-        int(parse_number(side, "image_size", 1, _MOST_SIDE_PIXELS)) for side in (width, height)
+        int(parse_number(side, "image_size", 1, _MAX_SIDE_PIXELS)) for side in (width, height)
     )
     distortion = _matrix(section["distortion"], "distortion")
     if distortion.ndim != 1 or len(distortion) not in _COEFFICIENTS[model]:
@@ -80,7 +80,7 @@ def parse_calibration(section: Any) -> Calibration:
     numbers = {
         name: math.nan
         if section[name] is None
-        else parse_number(section[name], name, low, MOST_METRES)
+        else parse_number(section[name], name, low, MAX_METRES)
         for name, low in (
             ("height_metres", 0.0),
             ("pitch_radians", -math.pi),
@@ -98,7 +98,7 @@ def parse_calibration(section: Any) -> Calibration:
         image_size=(size[0], size[1]),
         robot_from_image=_square(section["robot_from_image"], "robot_from_image"),
         max_range_metres=parse_number(
-            section["max_range_metres"], "max_range_metres", 1e-6, MOST_METRES
+            section["max_range_metres"], "max_range_metres", 1e-6, MAX_METRES
         ),
         unit=unit,
         **numbers,
@@ -114,7 +114,7 @@ def _square(value: Any, name: str) -> Float64Array:
 
 def _matrix(value: Any, name: str) -> Float64Array:
     matrix = np.array(value, np.float64)
-    if matrix.size > 16 or not np.all(np.abs(matrix) < MOST_METRES):
+    if matrix.size > 16 or not np.all(np.abs(matrix) < MAX_METRES):
         raise MapError(f"its {name} holds a number that is out of range")
     return matrix
 

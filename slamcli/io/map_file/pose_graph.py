@@ -13,7 +13,7 @@ from slamcli.core.camera.calibration import Rocking
 from slamcli.core.errors import MapError
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, LinkKind, PoseEstimate, Status
-from slamcli.io.map_file.header import MOST_METRES
+from slamcli.io.map_file.header import MAX_METRES
 
 DRIVE_KINDS = {
     "frames": "<i8",
@@ -162,7 +162,7 @@ def _check_links(arrays: Mapping[str, AnyArray]) -> None:
 
 def _check_poses(places: Float64Array, covariances: Float64Array, least: float = -1e-12) -> None:
     """Refuse what lies off the Earth, and what is no covariance."""
-    if np.abs(places).max(initial=0.0) > MOST_METRES:
+    if np.abs(places).max(initial=0.0) > MAX_METRES:
         raise MapError("a pose lies off the Earth")
     if not np.isfinite(covariances).all():
         raise MapError("its covariances hold a number that is not finite")

@@ -29,7 +29,7 @@ class StoredTile:
     image : (h, w, 3) uint8, BGR
     mask : (h, w) uint8
         255 where the floor was seen.
-    standing : (h, w, 4) uint8 BGRA or None
+    obstacles : (h, w, 4) uint8 BGRA or None
     layers : dict of str to (h, w) array
         Those asked for: ``resolution`` (float32, metres of floor that a picture's pixel covers; 0:
         unseen), ``views`` (uint16), ``last-frame`` (int32; -1: unseen).
@@ -37,7 +37,7 @@ class StoredTile:
 
     image: UInt8Array
     mask: UInt8Array
-    standing: UInt8Array | None
+    obstacles: UInt8Array | None
     layers: dict[str, GenericArray]
 
 
@@ -93,17 +93,17 @@ class TileStore:
             np.savez(stream, empty=np.zeros(0, np.uint8))
             self._entries[row, column] = None
         else:
-            mask = np.where(tile.sharpness > 0, np.uint8(255), np.uint8(0))
+            mask = np.where(tile.pixels_per_metre > 0, np.uint8(255), np.uint8(0))
             arrays: dict[str, GenericArray] = {
                 "image": tile.image,
                 "mask": np.packbits(mask > 0, axis=1),
             }
-            if tile.standing is not None:
-                arrays["standing"] = tile.standing
+            if tile.obstacles is not None:
+                arrays["obstacles"] = tile.obstacles
             for layer in self.layers:
                 arrays[layer] = _layer(tile, layer)
             np.savez(stream, allow_pickle=False, **arrays)
-            self._entries[row, column] = _entry_of(mask, stands=tile.standing is not None)
+            self._entries[row, column] = _entry_of(mask, stands=tile.obstacles is not None)
         write_bytes(self._path(row, column), stream.getvalue())
 
     def get(self, row: int, column: int) -> StoredTile | None:
@@ -201,9 +201,9 @@ class TileStore:
                 if "empty" in arrays:
                     return None
                 mask = np.unpackbits(arrays["mask"], axis=1) * np.uint8(255)
-                standing = arrays.get("standing")
+                obstacles = arrays.get("obstacles")
                 layers = {layer: arrays[layer] for layer in self.layers}
-                return StoredTile(arrays["image"], mask, standing, layers)
+                return StoredTile(arrays["image"], mask, obstacles, layers)
         except (OSError, ValueError, KeyError) as error:
             raise InputError(f"cannot read the finished tile {path}: {error}") from error
 
@@ -241,13 +241,13 @@ def _layer(tile: Tile, layer: str) -> GenericArray:
         return tile.views
     if layer == "last-frame":
         return tile.latest
-    seen = tile.sharpness > 0
-    safe = np.where(seen, tile.sharpness, np.float32(1.0))
+    seen = tile.pixels_per_metre > 0
+    safe = np.where(seen, tile.pixels_per_metre, np.float32(1.0))
     return np.where(seen, np.float32(1.0) / safe, np.float32(0.0))
 
 
 def _entry(tile: StoredTile | None) -> _Entry | None:
-    return None if tile is None else _entry_of(tile.mask, stands=tile.standing is not None)
+    return None if tile is None else _entry_of(tile.mask, stands=tile.obstacles is not None)
 
 
 def _entry_of(mask: UInt8Array, *, stands: bool) -> _Entry | None:

@@ -1,4 +1,4 @@
-"""Pictures that know where they lie: PNG with a world file, and Nav2 maps."""
+"""FrameCache that know where they lie: PNG with a world file, and Nav2 maps."""
 
 from __future__ import annotations
 

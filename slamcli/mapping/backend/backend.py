@@ -13,23 +13,23 @@ import numpy as np
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Link, PoseEstimate, Prepared
+from slamcli.core.records import Link, PoseEstimate, PreparedFrame
 from slamcli.core.telemetry import Georeference
-from slamcli.mapping.backend.pose_graph import Track
-from slamcli.mapping.backend.sensors import Senses
-from slamcli.mapping.backend.smoother import Smoother
+from slamcli.mapping.backend.pose_graph import PoseGraph
+from slamcli.mapping.backend.sensors import Sensors
+from slamcli.mapping.backend.smoother import FixedLagSmoother
 from slamcli.stages import posegraph
 
 SAME_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
 
 
-class Graph(Track):
+class Backend(PoseGraph):
     """Places frames by the links that tie them, and weighs all that is known of them."""
 
-    def __init__(self, senses: Senses | None = None) -> None:
+    def __init__(self, sensors: Sensors | None = None) -> None:
         super().__init__()
-        self.senses = senses or Senses()
-        self._smoother = Smoother(self, self.senses)
+        self.sensors = sensors or Sensors()
+        self._smoother = FixedLagSmoother(self, self.sensors)
         self._next_fragment = 0
 
     @property
@@ -42,7 +42,7 @@ class Graph(Track):
         """Where on Earth each fragment that GPS tells of lies, as of the latest solution."""
         return self._smoother.georeferences
 
-    def begin_fragment(self, prepared: Prepared) -> PoseEstimate:
+    def begin_fragment(self, prepared: PreparedFrame) -> PoseEstimate:
         """Make a frame the origin of a map of its own, unless odometry has carried it here."""
         known = self.get(prepared.index)
         if known is not None and known.map_from_robot is not None:
@@ -51,21 +51,21 @@ class Graph(Track):
         self._next_fragment += 1
         odom = self._odom_after(prepared, None)
         begun = _estimate(prepared, Pose2(), fragment, SAME_POSE_COVARIANCE)
-        return self.keep(replace(begun, odom_from_robot=odom))
+        return self.set_estimate(replace(begun, odom_from_robot=odom))
 
     def adopt(self, estimate: PoseEstimate) -> None:
         """Take over what an earlier run knew of a frame."""
-        self.keep(estimate)
+        self.set_estimate(estimate)
         self._next_fragment = max(self._next_fragment, estimate.fragment + 1)
 
-    def place(self, prepared: Prepared, links: Sequence[Link]) -> PoseEstimate:
+    def place(self, prepared: PreparedFrame, links: Sequence[Link]) -> PoseEstimate:
         """Place a frame by the surest of its links; those to another fragment join the two."""
         odom = self._odom_after(prepared, min(links, key=_uncertainty))
-        self.keep(replace(self.where(prepared, links), odom_from_robot=odom))
-        self.tie(prepared.index, links)
+        self.set_estimate(replace(self.predict_pose(prepared, links), odom_from_robot=odom))
+        self.add_links(prepared.index, links)
         return self[prepared.index]
 
-    def where(self, prepared: Prepared, links: Sequence[Link]) -> PoseEstimate:
+    def predict_pose(self, prepared: PreparedFrame, links: Sequence[Link]) -> PoseEstimate:
         """Return where the surest of its links to known frames puts a frame, which is not kept."""
         link = min(links, key=_uncertainty)
         origin = self[link.a]
@@ -75,27 +75,29 @@ class Graph(Track):
         placed = _estimate(prepared, pose, origin.fragment, covariance)
         return replace(placed, inliers=link.inliers, score=link.score)
 
-    def tie(self, index: int, links: Sequence[Link]) -> None:
+    def add_links(self, index: int, links: Sequence[Link]) -> None:
         """Add links of a placed frame; those to another fragment join the two."""
         self.links += links
-        if moved := self._smoother.advance(index, links):
+        if moved := self._smoother.on_frame(index, links):
             self.revise(index, moved)
 
-    def carried(self, index: int, prepared: Prepared) -> tuple[Pose2, Float64Array] | None:
+    def odometry_between(
+        self, index: int, prepared: PreparedFrame
+    ) -> tuple[Pose2, Float64Array] | None:
         """Return how far odometry says a frame is from an earlier one, and how surely."""
         now = lost(prepared, "")
-        link = self.senses.link(self[index], now)
+        link = self.sensors.link(self[index], now)
         return None if link is None else (link.a_from_b, link.covariance)
 
-    def repeat(self, before: Prepared, prepared: Prepared) -> PoseEstimate:
+    def add_duplicate(self, before: PreparedFrame, prepared: PreparedFrame) -> PoseEstimate:
         """Give a frame that shows the same picture as the one before it the same estimate.
 
         Unless that one could not be placed by what it shows: a robot may move over bare floor.
         """
         known = self[before.index]
         if known.status != "tracked":
-            return self.lose(prepared, known.reason or f"same picture as {before.name}")
-        kept = self.keep(
+            return self.add_lost(prepared, known.reason or f"same picture as {before.name}")
+        kept = self.set_estimate(
             replace(
                 known,
                 index=prepared.index,
@@ -109,21 +111,23 @@ class Graph(Track):
         self.links.append(same)
         return kept
 
-    def lose(self, prepared: Prepared, reason: str, partial: Link | None = None) -> PoseEstimate:
+    def add_lost(
+        self, prepared: PreparedFrame, reason: str, partial: Link | None = None
+    ) -> PoseEstimate:
         """Keep a frame that its picture does not place: predicted by odometry, or lost.
 
         Parameters
         ----------
-        prepared : Prepared
+        prepared : PreparedFrame
         reason : str
         partial : Link or None
             To a placed frame: what the picture tells of some directions. Odometry fills the others.
         """
         lacking = lost(prepared, reason)
         latest = self.latest_placed if partial is None else self[partial.a]
-        link = None if latest is None else self.senses.link(latest, lacking)
+        link = None if latest is None else self.sensors.link(latest, lacking)
         if latest is None or link is None:
-            return self.keep(lacking)
+            return self.set_estimate(lacking)
         if partial is not None:
             self.links.append(partial)
             link = posegraph.fuse(link, partial)
@@ -132,14 +136,14 @@ class Graph(Track):
         covariance = posegraph.compose_covariance(latest.covariance, link.a_from_b, link.covariance)
         predicted = _estimate(prepared, pose, latest.fragment, covariance)
         odom = self._odom_after(prepared, None)
-        return self.keep(
+        return self.set_estimate(
             replace(predicted, status="predicted", reason=reason, odom_from_robot=odom)
         )
 
     def revise(self, index: int, others: tuple[int, ...]) -> PoseEstimate:
         """Note that a frame's coming changed the estimates of others."""
         known = self[index]
-        return self.keep(replace(known, revised=(*known.revised, *others)))
+        return self.set_estimate(replace(known, revised=(*known.revised, *others)))
 
     def solve(self) -> None:
         """Weigh all that is known, and number the fragments anew, the largest first.
@@ -148,19 +152,19 @@ class Graph(Track):
         origin. A frame that nothing ties to any other is lost; one that only odometry ties to the
         others is predicted.
         """
-        weighing = self._smoother.weighing()
-        parts = weighing.parts()
-        linked = [part for part in parts if len(part) > 1] or parts[:1]
-        for part in parts:
-            if part not in linked:
-                self.keep(lost(self[min(part)], "overlaps no other frame"))
-        linked = weighing.tied_by_gps(linked)
-        linked.sort(key=lambda part: (-len(part), min(part)))
-        self._smoother.forget()
+        optimizer = self._smoother.optimizer()
+        components = optimizer.components()
+        linked = [component for component in components if len(component) > 1] or components[:1]
+        for component in components:
+            if component not in linked:
+                self.set_estimate(lost(self[min(component)], "overlaps no other frame"))
+        linked = optimizer.merge_by_gps(linked)
+        linked.sort(key=lambda component: (-len(component), min(component)))
+        self._smoother.reset()
         for fragment, initial in enumerate(linked):
             self._smoother.solve(initial, fragment)
 
-    def _odom_after(self, prepared: Prepared, link: Link | None) -> Pose2:
+    def _odom_after(self, prepared: PreparedFrame, link: Link | None) -> Pose2:
         """Return ``odom_from_robot`` of a new frame: by its step, else odometry, else unmoved."""
         latest = self.latest_placed
         if latest is None or latest.odom_from_robot is None:
@@ -169,17 +173,17 @@ class Graph(Track):
             origin = self[link.a]
             if origin.odom_from_robot is not None and origin.fragment == latest.fragment:
                 return origin.odom_from_robot @ link.a_from_b
-        felt = self.carried(latest.index, prepared)
+        felt = self.odometry_between(latest.index, prepared)
         return latest.odom_from_robot if felt is None else latest.odom_from_robot @ felt[0]
 
 
-def lost(frame: Prepared | PoseEstimate, reason: str) -> PoseEstimate:
+def lost(frame: PreparedFrame | PoseEstimate, reason: str) -> PoseEstimate:
     """Return the estimate of a frame that could not be placed."""
     return PoseEstimate(frame.index, frame.name, frame.stamp, None, "lost", reason)
 
 
 def _estimate(
-    prepared: Prepared, pose: Pose2, fragment: int, covariance: Float64Array
+    prepared: PreparedFrame, pose: Pose2, fragment: int, covariance: Float64Array
 ) -> PoseEstimate:
     return PoseEstimate(
         prepared.index, prepared.name, prepared.stamp, pose, "tracked", "", fragment, covariance

@@ -10,23 +10,23 @@ import numpy as np
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, PoseEstimate
 from slamcli.core.telemetry import Georeference
-from slamcli.mapping.backend.sensors import Senses
+from slamcli.mapping.backend.sensors import Sensors
 from slamcli.stages import posegraph
-from slamcli.stages.posegraph import SenseOffsets
+from slamcli.stages.posegraph import SensorOffsets
 
 # A fragment so surely placed on Earth is tied to others that are.
 _SURE_HEADING_RADIANS = 0.1
 _SURE_PLACE_METRES = 1.0
 # One less sure than this is not placed on Earth at all.
-_LEAST_SURE_HEADING_RADIANS = 1.0
+_MIN_SURE_HEADING_RADIANS = 1.0
 # What first poses are walked along, before any other kind.
 _TRUST = {"step": 0, "odometry": 1}
 
-Part = dict[int, Pose2]
+Component = dict[int, Pose2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Weighed:
+class OptimizedComponent:
     """The solution of one part.
 
     Attributes
@@ -46,7 +46,7 @@ class Weighed:
     georeference: Georeference | None
 
 
-class Weighing:
+class BatchOptimizer:
     """Estimates, links and readings, as they are at one moment.
 
     Parameters
@@ -54,35 +54,37 @@ class Weighing:
     estimates : sequence of PoseEstimate
         One for every frame, in order.
     links : sequence of Link
-    senses : Senses
+    senses : Sensors
     """
 
     def __init__(
-        self, estimates: Sequence[PoseEstimate], links: Sequence[Link], senses: Senses
+        self, estimates: Sequence[PoseEstimate], links: Sequence[Link], sensors: Sensors
     ) -> None:
         self._estimates = {estimate.index: estimate for estimate in estimates}
         self._links = links
-        self._senses = senses
+        self._sensors = sensors
 
-    def parts(self) -> list[Part]:
+    def components(self) -> list[Component]:
         """Return what links and odometry connect: first poses of its frames, from the first one on.
 
         Frames before the first that was placed are left out: the map begins there.
         """
         estimates = self._estimates
-        chain = self._senses.chain(list(estimates.values()))
+        chain = self._sensors.chain(list(estimates.values()))
         placed = {index for index, e in estimates.items() if e.map_from_robot is not None}
         known = placed.union(*((link.a, link.b) for link in chain))
-        parts = []
+        components = []
         for group in posegraph.components(sorted(known), [*self._links, *chain]):
             first = next((index for index in group if index in placed), None)
             if first is not None:
-                parts.append(self._spread([index for index in group if index >= first], chain))
-        return parts
+                components.append(
+                    self._initial_poses([index for index in group if index >= first], chain)
+                )
+        return components
 
-    def weigh(
-        self, initial: Part, held: Collection[int] = (), prior: SenseOffsets | None = None
-    ) -> Weighed:
+    def optimize(
+        self, initial: Component, held: Collection[int] = (), prior: SensorOffsets | None = None
+    ) -> OptimizedComponent:
         """Solve one part, its first frame at the origin.
 
         Parameters
@@ -91,7 +93,7 @@ class Weighing:
         held : collection of int
             Frames that stay where they are, in place of the first one; their readings have been
             weighed before.
-        prior : SenseOffsets or None
+        prior : SensorOffsets or None
             What these told.
         """
         numbers = [n for n, link in enumerate(self._links) if link.a in initial]
@@ -100,12 +102,12 @@ class Weighing:
             for index in sorted(initial)
         ]
         free = [frame for frame in frames if frame.index not in held]
-        places = self._senses.places(free)
-        lever_arm = self._senses.options.lever_arm_metres
+        places = self._sensors.places(free)
+        lever_arm = self._sensors.options.lever_arm_metres
         solution = posegraph.solve(
             initial,
-            [self._links[n] for n in numbers] + self._senses.chain(frames),
-            self._senses.headings(free),
+            [self._links[n] for n in numbers] + self._sensors.chain(frames),
+            self._sensors.headings(free),
             places,
             lever_arm_metres=lever_arm if prior is None else prior.lever_arm_metres,
             held=held,
@@ -113,19 +115,19 @@ class Weighing:
         )
         off = frozenset(numbers[k] for k in solution.switched_off if k < len(numbers))
         georeference = self._georeference(solution, len(places))
-        return Weighed(solution, tuple(numbers), off, georeference)
+        return OptimizedComponent(solution, tuple(numbers), off, georeference)
 
-    def tied_by_gps(self, parts: list[Part]) -> list[Part]:
+    def merge_by_gps(self, components: list[Component]) -> list[Component]:
         """Return the parts, those that GPS places on Earth surely enough made one."""
-        if len(parts) < 2 or self._senses.datum_degrees is None:
-            return parts
-        together: Part = {}
+        if len(components) < 2 or self._sensors.datum_degrees is None:
+            return components
+        together: Component = {}
         apart = []
-        for initial in parts:
-            weighed = self.weigh(initial)
-            if weighed.georeference is not None and _sure(weighed.georeference):
-                here = weighed.georeference.east_north_from_map
-                together.update((k, here @ pose) for k, pose in weighed.solution.poses.items())
+        for initial in components:
+            optimized = self.optimize(initial)
+            if optimized.georeference is not None and _sure(optimized.georeference):
+                here = optimized.georeference.east_north_from_map
+                together.update((k, here @ pose) for k, pose in optimized.solution.poses.items())
             else:
                 apart.append(initial)
         if not together:
@@ -134,9 +136,9 @@ class Weighing:
         return [{index: back @ together[index] for index in sorted(together)}, *apart]
 
     def _georeference(self, solution: posegraph.Solution, readings: int) -> Georeference | None:
-        offsets, datum = solution.offsets, self._senses.datum_degrees
+        offsets, datum = solution.offsets, self._sensors.datum_degrees
         heading_sigma = float(np.sqrt(offsets.east_north_covariance[2, 2]))
-        if datum is None or not readings or heading_sigma > _LEAST_SURE_HEADING_RADIANS:
+        if datum is None or not readings or heading_sigma > _MIN_SURE_HEADING_RADIANS:
             return None
         return Georeference(
             datum,
@@ -147,7 +149,7 @@ class Weighing:
             len(solution.places_off),
         )
 
-    def _spread(self, group: list[int], chain: list[Link]) -> Part:
+    def _initial_poses(self, group: list[int], chain: list[Link]) -> Component:
         """Return first poses for a group, walked from its first frame.
 
         Along steps where they lead, else odometry, else loops: these alone may be false.

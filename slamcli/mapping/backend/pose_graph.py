@@ -8,7 +8,7 @@ from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, PoseEstimate
 
 
-class Track:
+class PoseGraph:
     """Frames by index, each with its estimate, and the links that tie them.
 
     Attributes
@@ -78,7 +78,7 @@ class Track:
             None,
         )
 
-    def keep(self, estimate: PoseEstimate) -> PoseEstimate:
+    def set_estimate(self, estimate: PoseEstimate) -> PoseEstimate:
         """Take over what is known of a frame now."""
         if estimate.index not in self._estimates:
             self.order.append(estimate.index)

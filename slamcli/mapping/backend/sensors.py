@@ -18,7 +18,7 @@ from slamcli.core.records import Link, PoseEstimate
 from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading, TelemetryOptions
 from slamcli.stages import telemetry
 from slamcli.stages.geodesy import LocalPlane
-from slamcli.stages.posegraph import Heading, Place, SenseOffsets
+from slamcli.stages.posegraph import HeadingReading, PositionReading, SensorOffsets
 
 Kind = TypeVar("Kind", CompassReading, GpsReading)
 
@@ -26,7 +26,7 @@ _STAMP = attrgetter("stamp")
 _SETTLED_RADIANS = 0.1
 
 
-class Senses:
+class Sensors:
     """All readings so far, in the frames' clock.
 
     Parameters
@@ -47,7 +47,7 @@ class Senses:
         """Whether there are readings that tell of more than the motion since the last frame."""
         return bool(self._compass or self._gps)
 
-    def are_settled(self, offsets: SenseOffsets) -> bool:
+    def are_settled(self, offsets: SensorOffsets) -> bool:
         """Return whether what all readings share is known well enough to be held nearly still."""
         east_north = offsets.east_north_covariance
         compass = not self._compass or offsets.compass_offset_sigma_radians < _SETTLED_RADIANS
@@ -97,23 +97,23 @@ class Senses:
         links = (self.link(first, second) for first, second in pairwise(told))
         return [link for link in links if link is not None]
 
-    def headings(self, frames: Sequence[PoseEstimate]) -> list[Heading]:
+    def headings(self, frames: Sequence[PoseEstimate]) -> list[HeadingReading]:
         """Return the compass's readings, each tied to one of some placed frames."""
         near, share = self._near(self._compass, frames), self._share(self._compass)
         return [
-            Heading(index, motion, reading.heading_radians, reading.sigma_radians, share)
+            HeadingReading(index, motion, reading.heading_radians, reading.sigma_radians, share)
             for reading, (index, motion) in zip(near, self._tied(frames, near), strict=True)
             if index >= 0
         ]
 
-    def places(self, frames: Sequence[PoseEstimate]) -> list[Place]:
+    def places(self, frames: Sequence[PoseEstimate]) -> list[PositionReading]:
         """Return the GPS readings, each tied to one of some placed frames."""
         near, share = self._near(self._gps, frames), self._share(self._gps)
         places = []
         for reading, (index, motion) in zip(near, self._tied(frames, near), strict=True):
             if index >= 0 and self._plane is not None:
                 place = self._plane.east_north(reading.latitude_degrees, reading.longitude_degrees)
-                places.append(Place(index, motion, *place, reading.sigma_metres, share))
+                places.append(PositionReading(index, motion, *place, reading.sigma_metres, share))
         return places
 
     def _near(self, readings: Sequence[Kind], frames: Sequence[PoseEstimate]) -> Sequence[Kind]:
@@ -121,7 +121,7 @@ class Senses:
         stamps = [frame.stamp for frame in frames if frame.stamp is not None]
         if not stamps:
             return []
-        shift, gap = self.options.time_offset_seconds, self.options.longest_gap_seconds
+        shift, gap = self.options.time_offset_seconds, self.options.max_gap_seconds
         first = bisect_left(readings, min(stamps) - gap - shift, key=_STAMP)
         return readings[first : bisect_right(readings, max(stamps) + gap - shift, key=_STAMP)]
 
@@ -151,7 +151,7 @@ class Senses:
         after = bisect_left(moments, stamp - telemetry.SAME_MOMENT_SECONDS)
         if after < len(moments) and moments[after] <= stamp + telemetry.SAME_MOMENT_SECONDS:
             return frames[after].index, Pose2()
-        longest = self.options.longest_gap_seconds
+        longest = self.options.max_gap_seconds
         if after > 0 and stamp - moments[after - 1] <= longest:
             felt = self.motion(moments[after - 1], stamp)
             if felt is not None:

@@ -12,9 +12,9 @@ from dataclasses import replace
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link
 from slamcli.core.telemetry import Georeference
-from slamcli.mapping.backend.optimizer import Weighed, Weighing
-from slamcli.mapping.backend.pose_graph import Track
-from slamcli.mapping.backend.sensors import Senses
+from slamcli.mapping.backend.optimizer import BatchOptimizer, OptimizedComponent
+from slamcli.mapping.backend.pose_graph import PoseGraph
+from slamcli.mapping.backend.sensors import Sensors
 from slamcli.stages import posegraph
 
 # While a map is smaller than this, or what compass and GPS are off by is not known yet, it is
@@ -32,22 +32,22 @@ _WHOLE_SHARE = 0.8
 _CARRIED = ("odometry", "partial")
 
 
-class Smoother:
+class FixedLagSmoother:
     """Solves a drive's frames, all or a window of them.
 
     Parameters
     ----------
-    track : Track
+    track : PoseGraph
         Its estimates are revised.
-    senses : Senses
+    senses : Sensors
     """
 
-    def __init__(self, track: Track, senses: Senses) -> None:
+    def __init__(self, track: PoseGraph, sensors: Sensors) -> None:
         self.switched_off: frozenset[int] = frozenset()
         self.georeferences: dict[int, Georeference] = {}
         self._track = track
-        self._senses = senses
-        self._offsets: dict[int, posegraph.SenseOffsets] = {}
+        self._sensors = sensors
+        self._offsets: dict[int, posegraph.SensorOffsets] = {}
         # How many frames there were at the latest solution, at the latest of the whole map, and at
         # the latest that closed loops; and the frame that loops since then reach back to.
         self._solved_at = 0
@@ -55,11 +55,11 @@ class Smoother:
         self._closed_at = 0
         self._reaches_to: int | None = None
 
-    def weighing(self) -> Weighing:
+    def optimizer(self) -> BatchOptimizer:
         """Return all that is known, as it is now."""
-        return Weighing(self._track.estimates, self._track.links, self._senses)
+        return BatchOptimizer(self._track.estimates, self._track.links, self._sensors)
 
-    def advance(self, index: int, links: Sequence[Link]) -> tuple[int, ...]:
+    def on_frame(self, index: int, links: Sequence[Link]) -> tuple[int, ...]:
         """Solve what is due now that a frame has come; return the other frames that it moved.
 
         Parameters
@@ -71,34 +71,36 @@ class Smoother:
         track = self._track
         fragment = track[index].fragment
         if any(track[link.a].fragment != fragment for link in links):
-            return self._join(index)
+            return self._optimize_component(index)
         loops = [min(link.a, link.b) for link in links if link.kind == "loop"]
         if loops and self._reaches_to is not None:
             loops.append(self._reaches_to)
         self._reaches_to = min(loops, default=self._reaches_to)
         if self._is_due():
-            return self._join(index)
-        if self._senses.correct_the_map:
+            return self._optimize_component(index)
+        if self._sensors.correct_the_map:
             waiting = len(track.order) - self._solved_at
-            return self._slide(index, self._solved_at) if waiting >= _WINDOW_FRAMES else ()
-        return self._close(index)
+            return (
+                self._optimize_window(index, self._solved_at) if waiting >= _WINDOW_FRAMES else ()
+            )
+        return self._close_loops(index)
 
     def solve(self, initial: dict[int, Pose2], fragment: int) -> None:
         """Solve one component, its first frame at the origin, and revise its estimates."""
         track = self._track
-        weighed = self.weighing().weigh(initial)
-        solution = weighed.solution
+        optimized = self.optimizer().optimize(initial)
+        solution = optimized.solution
         self._solved_at = self._all_solved_at = self._closed_at = len(track.order)
         self._reaches_to = None
         self._offsets[fragment] = solution.offsets
-        self.switched_off = self.switched_off.difference(weighed.numbers) | weighed.switched_off
-        used = set(weighed.numbers) - weighed.switched_off
+        self.switched_off = self.switched_off.difference(optimized.numbers) | optimized.switched_off
+        used = set(optimized.numbers) - optimized.switched_off
         shown = [track.links[n] for n in used if track.links[n].kind not in _CARRIED]
         seen = {end for link in shown for end in (link.a, link.b)}
         for index in initial:
             known = track[index]
             tracked = known.status == "tracked" or index in seen
-            track.keep(
+            track.set_estimate(
                 replace(
                     known,
                     map_from_robot=solution.poses[index],
@@ -108,9 +110,9 @@ class Smoother:
                     reason="" if tracked and known.status != "tracked" else known.reason,
                 )
             )
-        self._locate_on_earth(fragment, weighed)
+        self._locate_on_earth(fragment, optimized)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Forget the latest solution, as all is about to be solved anew."""
         self.switched_off = frozenset()
         self.georeferences = {}
@@ -122,21 +124,23 @@ class Smoother:
         Of a large map whose senses are settled, only the latest frames are, and the whole when
         loops were found, and at last.
         """
-        if not self._senses.correct_the_map:
+        if not self._sensors.correct_the_map:
             return False
-        settled = all(map(self._senses.are_settled, self._offsets.values())) and self._offsets
+        settled = all(map(self._sensors.are_settled, self._offsets.values())) and self._offsets
         if settled and self._reaches_to is None and len(self._track.order) > _SMALL_FRAMES:
             return False
         grown = _SOLVE_AFTER_GROWTH * self._all_solved_at + _SOLVE_AFTER_FRAMES
         return len(self._track.order) > grown
 
-    def _join(self, index: int) -> tuple[int, ...]:
+    def _optimize_component(self, index: int) -> tuple[int, ...]:
         """Re-solve the component that a frame belongs to."""
-        part = next(part for part in self.weighing().parts() if index in part)
-        self.solve(part, self._track[min(part)].fragment)
-        return tuple(member for member in sorted(part) if member != index)
+        component = next(
+            component for component in self.optimizer().components() if index in component
+        )
+        self.solve(component, self._track[min(component)].fragment)
+        return tuple(member for member in sorted(component) if member != index)
 
-    def _close(self, index: int) -> tuple[int, ...]:
+    def _close_loops(self, index: int) -> tuple[int, ...]:
         """Solve what loops tie to the latest frames, once enough of these have come."""
         if self._reaches_to is None:
             return ()
@@ -146,11 +150,11 @@ class Smoother:
         if frames - self._closed_at < max(_SOLVE_AFTER_FRAMES, _LOOP_WINDOW_SHARE * reach):
             return ()
         if reach > _WHOLE_SHARE * frames:
-            return self._join(index)
+            return self._optimize_component(index)
         self._reaches_to, self._closed_at = None, frames
-        return self._slide(index, first)
+        return self._optimize_window(index, first)
 
-    def _slide(self, index: int, first: int) -> tuple[int, ...]:
+    def _optimize_window(self, index: int, first: int) -> tuple[int, ...]:
         """Solve a frame's fragment from the frame with a number on, all before that held.
 
         A fixed-lag smoother (Dellaert and Kaess, Factor Graphs for Robot Perception, 2017). Windows
@@ -164,9 +168,9 @@ class Smoother:
             for member in track.order[first:]
             if track.is_placed(member) and track[member].fragment == fragment
         ]
-        prior = self._offsets.get(fragment) if self._senses.correct_the_map else None
+        prior = self._offsets.get(fragment) if self._sensors.correct_the_map else None
         base = track.placed_before(first, fragment, _SMALL_FRAMES)
-        if base is None or (prior is None and self._senses.correct_the_map):
+        if base is None or (prior is None and self._sensors.correct_the_map):
             return ()
         free = set(members)
         numbers = [
@@ -179,13 +183,13 @@ class Smoother:
         links = [track.links[number] for number in numbers]
         held = {base} | {end for link in links for end in (link.a, link.b)} - free
         frames = [track[member] for member in sorted(held | free)]
-        weighing = Weighing(frames, links, self._senses)
-        weighed = weighing.weigh({f.index: track.pose(f.index) for f in frames}, held, prior)
-        off = frozenset(numbers[place] for place in weighed.switched_off)
+        optimizer = BatchOptimizer(frames, links, self._sensors)
+        optimized = optimizer.optimize({f.index: track.pose(f.index) for f in frames}, held, prior)
+        off = frozenset(numbers[place] for place in optimized.switched_off)
         self.switched_off = self.switched_off.difference(numbers) | off
-        self._revise_window(members, base, weighed.solution)
-        self._offsets[fragment] = weighed.solution.offsets
-        self._locate_on_earth(fragment, weighed, self.georeferences.get(fragment))
+        self._revise_window(members, base, optimized.solution)
+        self._offsets[fragment] = optimized.solution.offsets
+        self._locate_on_earth(fragment, optimized, self.georeferences.get(fragment))
         self._solved_at = len(track.order)
         return tuple(member for member in sorted(free) if member != index)
 
@@ -199,12 +203,12 @@ class Smoother:
             covariance = posegraph.compose_covariance(
                 known, track.pose(base).inverse() @ pose, solution.covariances[member]
             )
-            track.keep(replace(track[member], map_from_robot=pose, covariance=covariance))
+            track.set_estimate(replace(track[member], map_from_robot=pose, covariance=covariance))
 
     def _locate_on_earth(
-        self, fragment: int, weighed: Weighed, before: Georeference | None = None
+        self, fragment: int, optimized: OptimizedComponent, before: Georeference | None = None
     ) -> None:
-        found = weighed.georeference
+        found = optimized.georeference
         if found is not None and before is not None:
             readings = found.readings + before.readings
             outliers = found.outliers + before.outliers

@@ -17,7 +17,7 @@ from slamcli.core.errors import CalibrationError, FrameError, InputError, Slamcl
 from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.core.records import Frame
 from slamcli.drawing.calibration import birdseye_grid, draw_calibration
-from slamcli.io.calibrations import Origin, load_intrinsics, save_calibration
+from slamcli.io.calibrations import CalibrationSource, load_intrinsics, save_calibration
 from slamcli.io.files import refuse_existing, write_image
 from slamcli.io.frames import read_image
 from slamcli.run.calibrate.mountings import (
@@ -243,12 +243,12 @@ def _write(path: Path, result: Result, options: CalibrateOptions) -> None:
     reach = float(np.hypot(*grid.corners.T).max())
     wide = replace(calibration, max_range_metres=max(reach, calibration.max_range_metres))
     frame = Frame(0, result.photo.name, None, result.image)
-    resampler = view.make_resampler(wide, projection.sharpness_image(wide), grid, Pose2())
+    resampler = view.make_resampler(wide, projection.resolution_image(wide), grid, Pose2())
     birdseye = view.make_view(frame, resampler, gray=False)
     picture = draw_calibration(
         result.image, target.outline, calibration, birdseye, describe(result)
     )
-    origin = Origin(result.photo.name, target.name, options.side_metres, target.outline)
+    origin = CalibrationSource(result.photo.name, target.name, options.side_metres, target.outline)
     save_calibration(path, calibration, origin)
     write_image(path.with_suffix(".png"), picture)
 

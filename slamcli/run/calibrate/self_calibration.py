@@ -15,14 +15,14 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import CalibrationError, InputError
 from slamcli.core.geometry import Pose2, apply_homography
-from slamcli.io.calibrations import Origin, load_origin, save_calibration
+from slamcli.io.calibrations import CalibrationSource, load_origin, save_calibration
 from slamcli.io.files import refuse_existing
 from slamcli.io.frames import read_frame
 from slamcli.io.toml import Scalar
 from slamcli.run.frame_loop import register
 from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.session.executor import Progress, ordered
-from slamcli.selfcal import Refinement, Registration, refine
+from slamcli.selfcal import RegisteredDrive, SelfCalibration, refine
 from slamcli.stages import calibrate as solving
 
 
@@ -61,11 +61,11 @@ def calibrate_by_frames(
 
 def self_calibrate(
     inputs: Inputs,
-    first: Registration,
+    first: RegisteredDrive,
     options: MapperOptions,
     workers: int,
     progress: Progress,
-) -> Refinement:
+) -> SelfCalibration:
     """Refine camera and poses by the frames that have been registered."""
     origin = None if inputs.calibration_path is None else load_origin(inputs.calibration_path)
     return refine(
@@ -77,7 +77,7 @@ def self_calibrate(
     )
 
 
-def true_scale(origin: Origin | None, calibration: Calibration) -> float:
+def true_scale(origin: CalibrationSource | None, calibration: Calibration) -> float:
     """Return by how much a camera's height must grow for its calibration square to have its size.
 
     The focal length and the tilt that frames tell change how large the square seems in its photo:
@@ -106,7 +106,7 @@ def true_scale(origin: Origin | None, calibration: Calibration) -> float:
     return math.exp(-float(solution.x[0]))
 
 
-def describe(done: Refinement) -> list[str]:
+def describe(done: SelfCalibration) -> list[str]:
     """Return lines of text: what became of the camera, and how well it explains the frames."""
     lines = [f"{'camera':<12} {done.verdict}: {done.reason}"]
     if math.isfinite(done.pixels_after):
@@ -124,7 +124,7 @@ def describe(done: Refinement) -> list[str]:
     return lines
 
 
-def run_section(done: Refinement) -> dict[str, Scalar]:
+def run_section(done: SelfCalibration) -> dict[str, Scalar]:
     """Return what run.toml says of it."""
     calibration = done.registration.calibration
     section: dict[str, Scalar] = {

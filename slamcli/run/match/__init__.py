@@ -16,22 +16,22 @@ from slamcli.core.errors import InputError, OutputError
 from slamcli.core.geometry import apply_homography, invert
 from slamcli.drawing.correlation_surface import draw_surface
 from slamcli.drawing.matches import draw_matches
-from slamcli.drawing.obstacles import draw_standing
+from slamcli.drawing.obstacles import draw_obstacles
 from slamcli.io.files import refuse_existing, write_image
-from slamcli.registration import Trial
+from slamcli.registration import RegistrationResult
 from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.match.fitting import (
     AUTO_FRONTS,
-    Fit,
-    Front,
-    Picture,
+    FeatureRecipe,
+    PairFit,
+    PairImage,
     birdseye_picture,
     fit_pair,
     plain_picture,
     read_picture,
     search_pair,
 )
-from slamcli.run.match.obstacles import mark_standing
+from slamcli.run.match.obstacles import without_obstacles
 from slamcli.run.networks import (
     NO_NETWORKS,
     NetworkFiles,
@@ -39,7 +39,7 @@ from slamcli.run.networks import (
     with_point_network,
 )
 from slamcli.stages import view
-from slamcli.stages.dense import Standing
+from slamcli.stages.dense import ObstacleMask
 
 PLAIN_RATIO = 0.8
 DRAWING_SUFFIXES = (".png", ".jpg")
@@ -121,7 +121,7 @@ def match(
     if fit.reason and inputs.calibration_path is not None and matching.model == "rigid":
         fit = search_pair(*pictures, fit)
     if inputs.calibration_path is not None:
-        fit = mark_standing(*pictures, fit, matching.min_inliers)
+        fit = without_obstacles(*pictures, fit, matching.min_inliers)
     facts = _facts(inputs, pictures, fit)
     note = inputs.note if inputs.calibration_path else "no calibration: pixel units"
     lines = [*([note] if note else []), *_lines(facts, fit)]
@@ -133,7 +133,7 @@ def match(
     )
 
 
-def _open(inputs: Inputs) -> tuple[Picture, Picture]:
+def _open(inputs: Inputs) -> tuple[PairImage, PairImage]:
     frames = [read_picture(file) for file in inputs.files]
     if inputs.calibration_path is None:
         return plain_picture(frames[0]), plain_picture(frames[1])
@@ -145,9 +145,9 @@ def _open(inputs: Inputs) -> tuple[Picture, Picture]:
     )
 
 
-def _fronts(options: PairOptions, inputs: Inputs) -> tuple[Front, ...]:
+def _fronts(options: PairOptions, inputs: Inputs) -> tuple[FeatureRecipe, ...]:
     if options.method != "auto":
-        return (Front(options.method, 1, options.count),)
+        return (FeatureRecipe(options.method, 1, options.count),)
     # A bird's-eye view has its scale already; enlarging it would add nothing.
     plain = inputs.calibration_path is None
     fronts = (front for front in AUTO_FRONTS if plain or front.enlargement == 1)
@@ -167,7 +167,7 @@ def _resolved(options: PairOptions, inputs: Inputs) -> tuple[FeatureOptions, Mat
     )
 
 
-def _second_from_first(pictures: tuple[Picture, Picture], fit: Fit) -> Float64Array | None:
+def _second_from_first(pictures: tuple[PairImage, PairImage], fit: PairFit) -> Float64Array | None:
     """Return metres to metres, or for plain pictures pixel to pixel (x right, y down)."""
     first_from_second = fit.alignment.a_from_b
     if first_from_second is None:
@@ -181,7 +181,9 @@ def _second_from_first(pictures: tuple[Picture, Picture], fit: Fit) -> Float64Ar
     return np.asarray(matrix / matrix[2, 2])
 
 
-def _facts(inputs: Inputs, pictures: tuple[Picture, Picture], fit: Fit) -> dict[str, object]:
+def _facts(
+    inputs: Inputs, pictures: tuple[PairImage, PairImage], fit: PairFit
+) -> dict[str, object]:
     """Return everything measured, by name, ready for JSON."""
     alignment = fit.alignment
     matrix = _second_from_first(pictures, fit)
@@ -210,11 +212,11 @@ def _facts(inputs: Inputs, pictures: tuple[Picture, Picture], fit: Fit) -> dict[
             "rival": _number(fit.trial.rival),
             "confirmed_share": _number(fit.trial.confirmed),
         }
-    if fit.standing is not None:
-        facts["standing"] = {
-            "cells": [int(np.count_nonzero(marks.unlike)) for marks in fit.standing],
-            "judged_cells": [int(np.count_nonzero(marks.judged)) for marks in fit.standing],
-            "inliers": fit.standing_inliers,
+    if fit.obstacles is not None:
+        facts["obstacles"] = {
+            "cells": [int(np.count_nonzero(marks.unlike)) for marks in fit.obstacles],
+            "judged_cells": [int(np.count_nonzero(marks.judged)) for marks in fit.obstacles],
+            "inliers": fit.obstacle_inliers,
         }
     if matrix is not None and alignment.model in {"rigid", "similarity"}:
         facts["scale"] = math.hypot(matrix[0, 0], matrix[1, 0])
@@ -238,7 +240,7 @@ def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _lines(facts: dict[str, object], fit: Fit) -> list[str]:
+def _lines(facts: dict[str, object], fit: PairFit) -> list[str]:
     """Return the report for a reader; one line when nothing fits."""
     alignment = fit.alignment
     if fit.reason:
@@ -265,10 +267,10 @@ def _lines(facts: dict[str, object], fit: Fit) -> list[str]:
             f"{math.degrees(pose.theta):.3f} degrees (sigmas {sigmas[0] * 1000:.2f} mm, "
             f"{sigmas[1] * 1000:.2f} mm, {math.degrees(sigmas[2]):.4f} degrees)"
         )
-    if fit.standing is not None and any(marks.unlike.any() for marks in fit.standing):
+    if fit.obstacles is not None and any(marks.unlike.any() for marks in fit.obstacles):
         lines.append(
             "something seems to stand on the floor (red in the drawing); matches on it that would "
-            f"fit: {fit.standing_inliers}"
+            f"fit: {fit.obstacle_inliers}"
         )
     if fit.trial is not None:
         return [
@@ -287,7 +289,7 @@ def _lines(facts: dict[str, object], fit: Fit) -> list[str]:
     return lines
 
 
-def _draw(pictures: tuple[Picture, Picture], fit: Fit, lines: list[str]) -> UInt8Array:
+def _draw(pictures: tuple[PairImage, PairImage], fit: PairFit, lines: list[str]) -> UInt8Array:
     """Draw plain pictures as they are, calibrated ones as their bird's-eye views."""
     first, second = pictures
     matches = fit.alignment.matches
@@ -295,8 +297,8 @@ def _draw(pictures: tuple[Picture, Picture], fit: Fit, lines: list[str]) -> UInt
     second_pixels = second.view.grid.pixel_from_metres
     matrix = None if fit.reason else fit.alignment.a_from_b
     drawing = draw_matches(
-        _shown(first, None if fit.standing is None else fit.standing[0]),
-        _shown(second, None if fit.standing is None else fit.standing[1]),
+        _shown(first, None if fit.obstacles is None else fit.obstacles[0]),
+        _shown(second, None if fit.obstacles is None else fit.obstacles[1]),
         apply_homography(first_pixels, fit.first.points[matches[:, 0]]),
         apply_homography(second_pixels, fit.second.points[matches[:, 1]]),
         fit.alignment.inliers,
@@ -318,17 +320,17 @@ def _widened(picture: UInt8Array, width: int) -> UInt8Array:
     return wide
 
 
-def _shown(picture: Picture, marks: Standing | None) -> UInt8Array:
+def _shown(picture: PairImage, marks: ObstacleMask | None) -> UInt8Array:
     """Return a picture in colour, what stands on its floor in red."""
     plain = picture.calibration.unit == "px"
     shown = view.to_colour(picture.frame.image if plain else picture.view.image)
     if marks is None:
         return shown
     cells_from_pixel = marks.cells_from_metres @ picture.view.grid.metres_from_pixel
-    return draw_standing(shown, marks.unlike, cells_from_pixel)
+    return draw_obstacles(shown, marks.unlike, cells_from_pixel)
 
 
-def _patches(trial: Trial) -> list[str]:
+def _patches(trial: RegistrationResult) -> list[str]:
     """Return how many of the floor's patches agree, in a line, when enough of them tell."""
     if math.isnan(trial.confirmed):
         return []

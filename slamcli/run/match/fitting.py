@@ -14,24 +14,24 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import FeatureMethod, FeatureOptions, MapperOptions, MatchOptions
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Grid
-from slamcli.core.records import Alignment, Features, Frame, Prepared, View
+from slamcli.core.records import FeatureAlignment, Features, Frame, PreparedFrame, View
 from slamcli.io.frames import FrameFile, read_frame
-from slamcli.registration import Trial, compare
+from slamcli.registration import RegistrationResult, register
 from slamcli.registration.preparation import assemble
 from slamcli.stages import align, dense, features, local_correlation, view
 
-LEAST_CORRELATION = 0.4
+MIN_CORRELATION = 0.4
 # With several fronts to choose from, so few inliers are believed when the pixels agree this well.
-FEWEST_CONFIRMED_INLIERS = 6
+MIN_CONFIRMED_INLIERS = 6
 CONFIRMING_CORRELATION = 0.7
 # So many times the inliers that are needed make it idle to try another front.
 _STRONG_FACTOR = 2
 # Enlarging a picture beyond this many pixels costs seconds.
-_MOST_ENLARGED_PIXELS = 6_000_000
+_MAX_ENLARGED_PIXELS = 6_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Front:
+class FeatureRecipe:
     """One way to find features in two pictures.
 
     Attributes
@@ -54,15 +54,15 @@ class Front:
 # From cheap to dear: what fits two like pictures comes first; small or blurred ones need an
 # enlargement, or the scale space of SIFT, which ORB's eight levels only approximate.
 AUTO_FRONTS: Final = (
-    Front("orb", 1, 4000),
-    Front("orb", 2, 10000),
-    Front("sift", 1, 5000),
-    Front("sift", 2, 10000),
+    FeatureRecipe("orb", 1, 4000),
+    FeatureRecipe("orb", 2, 10000),
+    FeatureRecipe("sift", 1, 5000),
+    FeatureRecipe("sift", 2, 10000),
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class PairImage:
     """One of the two, as read and as seen.
 
     Attributes
@@ -79,37 +79,37 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit:
+class PairFit:
     """What came of one front.
 
     Attributes
     ----------
-    front : Front
-    alignment : Alignment
+    front : FeatureRecipe
+    alignment : FeatureAlignment
         Of ``first_from_second``.
     first, second : Features
     correlation : float
         Median over small windows of the overlap; nan when nothing could be compared.
     reason : str
         Why it is not believed; empty when it is.
-    trial : Trial or None
+    trial : RegistrationResult or None
         What the pixels alone said, when the features did not convince.
-    standing : (Standing, Standing) or None
+    obstacles : (ObstacleMask, ObstacleMask) or None
         Where something stands on the floor, in either view; None when nothing fits, or in plain
         pictures.
-    standing_inliers : int
+    obstacle_inliers : int
         Of the features' fit: so many lie on it, and were left out where that helped.
     """
 
-    front: Front
-    alignment: Alignment
+    front: FeatureRecipe
+    alignment: FeatureAlignment
     first: Features
     second: Features
     correlation: float
     reason: str
-    trial: Trial | None = None
-    standing: tuple[dense.Standing, dense.Standing] | None = None
-    standing_inliers: int = 0
+    trial: RegistrationResult | None = None
+    obstacles: tuple[dense.ObstacleMask, dense.ObstacleMask] | None = None
+    obstacle_inliers: int = 0
 
 
 def read_picture(file: FrameFile) -> Frame:
@@ -120,7 +120,7 @@ def read_picture(file: FrameFile) -> Frame:
         raise InputError(f"{file.path}: {error}") from error
 
 
-def plain_picture(frame: Frame, enlargement: int = 1) -> Picture:
+def plain_picture(frame: Frame, enlargement: int = 1) -> PairImage:
     """Return a picture as a view of itself: one unit is one of its own pixels."""
     gray = view.to_gray(frame.image)
     height, width = gray.shape
@@ -130,10 +130,12 @@ def plain_picture(frame: Frame, enlargement: int = 1) -> Picture:
         size = (grid.width, grid.height)
         gray = np.asarray(cv2.resize(gray, size, interpolation=cv2.INTER_CUBIC), np.uint8)
         mask = np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)
-    return Picture(frame, View(grid, gray, mask), projection.top_down_calibration((width, height)))
+    return PairImage(
+        frame, View(grid, gray, mask), projection.top_down_calibration((width, height))
+    )
 
 
-def birdseye_picture(frame: Frame, calibration: Calibration, metres_per_pixel: float) -> Picture:
+def birdseye_picture(frame: Frame, calibration: Calibration, metres_per_pixel: float) -> PairImage:
     """Return a frame as a bird's-eye view; raises InputError when another camera took it."""
     try:
         view.check_frame(frame, calibration)
@@ -141,16 +143,16 @@ def birdseye_picture(frame: Frame, calibration: Calibration, metres_per_pixel: f
         raise InputError(f"{frame.name}: {error}") from error
     resampler = view.make_view_resampler(calibration, metres_per_pixel)
     seen = view.make_compared_views(frame, [resampler])[0]
-    return Picture(frame, seen, calibration)
+    return PairImage(frame, seen, calibration)
 
 
 def fit_pair(
-    first: Picture,
-    second: Picture,
-    fronts: tuple[Front, ...],
+    first: PairImage,
+    second: PairImage,
+    fronts: tuple[FeatureRecipe, ...],
     feature_options: FeatureOptions,
     match_options: MatchOptions,
-) -> Fit:
+) -> PairFit:
     """Try fronts in order; return the first strong fit, else the one that the pixels like best.
 
     A fit with fewer inliers than `match_options` ask for is believed too, when there are several
@@ -159,14 +161,14 @@ def fit_pair(
     enough = match_options.min_inliers
     strong = _STRONG_FACTOR * enough if len(fronts) > 1 else enough
     if len(fronts) > 1:
-        match_options = replace(match_options, min_inliers=min(enough, FEWEST_CONFIRMED_INLIERS))
-    fits: list[Fit] = []
+        match_options = replace(match_options, min_inliers=min(enough, MIN_CONFIRMED_INLIERS))
+    fits: list[PairFit] = []
     for front in fronts:
         if fits and not _affordable(front, first, second):
             continue
         fit = _try(front, first, second, feature_options, match_options)
         few = fit.alignment.inlier_count < enough
-        fit = _judge(fit, CONFIRMING_CORRELATION if few else LEAST_CORRELATION)
+        fit = _judge(fit, CONFIRMING_CORRELATION if few else MIN_CORRELATION)
         if not fit.reason and fit.alignment.inlier_count >= strong:
             return fit
         fits.append(fit)
@@ -176,31 +178,31 @@ def fit_pair(
     return max(fits, key=lambda fit: fit.alignment.inlier_count)
 
 
-def _judge(fit: Fit, least_correlation: float) -> Fit:
+def _judge(fit: PairFit, min_correlation: float) -> PairFit:
     """Return the fit with a reason when the pixels do not confirm it."""
-    if fit.reason or fit.correlation >= least_correlation:
+    if fit.reason or fit.correlation >= min_correlation:
         return fit
     if math.isnan(fit.correlation):
         return replace(fit, reason="the overlap shows too little to confirm the fit by its pixels")
     return replace(
         fit,
         reason=f"the pictures do not look alike under the fit: correlation {fit.correlation:.2f}; "
-        f"at least {least_correlation:.2f} is needed",
+        f"at least {min_correlation:.2f} is needed",
     )
 
 
-def _affordable(front: Front, first: Picture, second: Picture) -> bool:
+def _affordable(front: FeatureRecipe, first: PairImage, second: PairImage) -> bool:
     pixels = sum(p.view.grid.width * p.view.grid.height for p in (first, second))
-    return front.enlargement == 1 or pixels * front.enlargement**2 <= _MOST_ENLARGED_PIXELS
+    return front.enlargement == 1 or pixels * front.enlargement**2 <= _MAX_ENLARGED_PIXELS
 
 
 def _try(
-    front: Front,
-    first: Picture,
-    second: Picture,
+    front: FeatureRecipe,
+    first: PairImage,
+    second: PairImage,
     feature_options: FeatureOptions,
     match_options: MatchOptions,
-) -> Fit:
+) -> PairFit:
     options = replace(
         feature_options, method=front.method, count=front.count or feature_options.count
     )
@@ -216,10 +218,10 @@ def _try(
         correlation = local_correlation.local_correlation(
             first.view, second.view, alignment.a_from_b
         )
-    return Fit(front, alignment, found[0], found[1], correlation, alignment.reason)
+    return PairFit(front, alignment, found[0], found[1], correlation, alignment.reason)
 
 
-def _prepared(index: int, picture: Picture, found: Features) -> Prepared:
+def _prepared(index: int, picture: PairImage, found: Features) -> PreparedFrame:
     """Return a bird's-eye picture as the mapper would compare it."""
     frame, views = picture.frame, [picture.view]
     far = view.make_far_resampler(picture.calibration, picture.view.grid.metres_per_pixel)
@@ -228,18 +230,18 @@ def _prepared(index: int, picture: Picture, found: Features) -> Prepared:
     return assemble(replace(frame, index=index), views, found)
 
 
-def search_pair(first: Picture, second: Picture, fit: Fit) -> Fit:
+def search_pair(first: PairImage, second: PairImage, fit: PairFit) -> PairFit:
     """Let the pixels of two bird's-eye views decide where their features did not.
 
     Returns
     -------
-    Fit
+    PairFit
         Of the motion that the pixels single out, or the given one with what they said.
     """
     prepared = [_prepared(0, first, fit.first), _prepared(1, second, fit.second)]
     options = MapperOptions(max_turn_degrees=180.0)
-    trial = compare(
-        prepared[0], prepared[1], None, first.calibration, options, window=dense.Window()
+    trial = register(
+        prepared[0], prepared[1], None, first.calibration, options, window=dense.SearchWindow()
     )
     if trial.link is None:
         reason = fit.reason if trial.search is None else f"{fit.reason}; {trial.reason}"

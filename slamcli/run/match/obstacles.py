@@ -11,15 +11,17 @@ from slamcli.core.arrays import BoolArray, Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2, invert
-from slamcli.core.records import Alignment, DenseLevel
-from slamcli.run.match.fitting import Fit, Picture
+from slamcli.core.records import FeatureAlignment, PyramidLevel
+from slamcli.run.match.fitting import PairFit, PairImage
 from slamcli.stages import align, dense, local_correlation
 
 # So many times its tilt sigma may a camera rock between two pictures.
 _ROCKING_TIMES = (0.0, 1.0, 5.0)
 
 
-def mark_standing(first: Picture, second: Picture, fit: Fit, least_inliers: int) -> Fit:
+def without_obstacles(
+    first: PairImage, second: PairImage, fit: PairFit, min_inliers: int
+) -> PairFit:
     """Return the fit of two bird's-eye views with what stands on their floor.
 
     Inliers that lie on it are left out and the motion is fitted again, where at least so many are
@@ -32,15 +34,15 @@ def mark_standing(first: Picture, second: Picture, fit: Fit, least_inliers: int)
     levels_a, levels_b = (dense.make_levels(picture.view) for picture in (first, second))
     shown = _registered(levels_a, levels_b, pose, calibration)
     marks = (
-        dense.standing(levels_a, levels_b, shown, calibration),
-        dense.standing(levels_b, levels_a, invert(shown), calibration),
+        dense.find_obstacles(levels_a, levels_b, shown, calibration),
+        dense.find_obstacles(levels_b, levels_a, invert(shown), calibration),
     )
     matches = fit.alignment.matches
     marked = marks[0].marks(fit.first.points[matches[:, 0]])
     marked |= marks[1].marks(fit.second.points[matches[:, 1]])
     marked &= fit.alignment.inliers
-    fit = replace(fit, standing=marks, standing_inliers=int(np.count_nonzero(marked)))
-    if not marked.any() or fit.alignment.inlier_count - fit.standing_inliers < least_inliers:
+    fit = replace(fit, obstacles=marks, obstacle_inliers=int(np.count_nonzero(marked)))
+    if not marked.any() or fit.alignment.inlier_count - fit.obstacle_inliers < min_inliers:
         return fit
     without = _without(fit, marked)
     if without is None or without.pose is None:
@@ -55,7 +57,7 @@ def mark_standing(first: Picture, second: Picture, fit: Fit, least_inliers: int)
     return replace(fit, alignment=without, correlation=correlation)
 
 
-def _without(fit: Fit, marked: BoolArray) -> Alignment | None:
+def _without(fit: PairFit, marked: BoolArray) -> FeatureAlignment | None:
     """Return the alignment by the inliers that are not marked."""
     alignment = fit.alignment
     assert alignment.pose is not None
@@ -83,8 +85,8 @@ def _without(fit: Fit, marked: BoolArray) -> Alignment | None:
 
 
 def _registered(
-    levels_a: tuple[DenseLevel, ...],
-    levels_b: tuple[DenseLevel, ...],
+    levels_a: tuple[PyramidLevel, ...],
+    levels_b: tuple[PyramidLevel, ...],
     pose: Pose2,
     calibration: Calibration,
 ) -> Float64Array:

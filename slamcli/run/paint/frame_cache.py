@@ -10,14 +10,14 @@ from pathlib import Path
 from threading import Lock
 
 from slamcli.core.errors import InputError
-from slamcli.stages.mosaic.sampling import Picture
+from slamcli.stages.mosaic.sampling import SourceImage
 
-_LEAST_PICTURES = 4
+_MIN_PICTURES = 4
 # Linux tells of a process's pages here; the second number is of those in memory.
 _RESIDENT = Path("/proc/self/statm")
 
 
-class Pictures:
+class FrameCache:
     """The pictures last used; may be shared by threads, and starts anew in another process.
 
     Memory that is touched for the first time costs more than decoding into it: what no tile will
@@ -34,19 +34,19 @@ class Pictures:
     """
 
     def __init__(
-        self, make: Callable[[int], Picture], most: int, uses: Mapping[int, int] | None = None
+        self, make: Callable[[int], SourceImage], most: int, uses: Mapping[int, int] | None = None
     ) -> None:
         self._make = make
         self._most = max(1, most)
         self._left = dict(uses or {})
         self._lock = Lock()
-        self._kept: OrderedDict[int, Future[Picture]] = OrderedDict()
+        self._kept: OrderedDict[int, Future[SourceImage]] = OrderedDict()
 
-    def __reduce__(self) -> tuple[type[Pictures], tuple[Callable[[int], Picture], int]]:
+    def __reduce__(self) -> tuple[type[FrameCache], tuple[Callable[[int], SourceImage], int]]:
         # Which tiles another process will paint is not known.
-        return Pictures, (self._make, self._most)
+        return FrameCache, (self._make, self._most)
 
-    def __call__(self, number: int) -> Picture:
+    def __call__(self, number: int) -> SourceImage:
         """Return a picture, made now or kept from before."""
         with self._lock:
             future = self._kept.get(number)
@@ -73,7 +73,7 @@ class Pictures:
                     self._kept.pop(number, None)
 
 
-def most_at_once(needed: Sequence[Sequence[int]]) -> int:
+def max_at_once(needed: Sequence[Sequence[int]]) -> int:
     """Return how many pictures are held when each is dropped after the last tile that needs it.
 
     Parameters
@@ -91,7 +91,7 @@ def most_at_once(needed: Sequence[Sequence[int]]) -> int:
     return most
 
 
-def most_pictures(picture_bytes: int, memory_bytes: int, canvas_bytes: int, workers: int) -> int:
+def max_pictures(picture_bytes: int, memory_bytes: int, canvas_bytes: int, workers: int) -> int:
     """Return how many frames may be held beside all else that the process holds already.
 
     A few are held in any case: what the poses of a long drive take cannot be given back.
@@ -102,7 +102,7 @@ def most_pictures(picture_bytes: int, memory_bytes: int, canvas_bytes: int, work
         When the memory would not do even for a process that holds nothing yet.
     """
     room = memory_bytes - canvas_bytes
-    least = max(_LEAST_PICTURES, 2 * workers)
+    least = max(_MIN_PICTURES, 2 * workers)
     if room < least * picture_bytes:
         raise InputError(
             f"--memory {size_text(memory_bytes)} is too little to paint in; give "

@@ -32,9 +32,9 @@ PRODUCTS = (
     "mosaic*.tif",
     "mosaic*.dzi",
     "mosaic*_files",
-    "standing*.png",
-    "standing*.pgw",
-    "standing*.tif",
+    "obstacles*.png",
+    "obstacles*.pgw",
+    "obstacles*.tif",
     "trajectory*.png",
     "nav2*.pgm",
     "nav2*.yaml",
@@ -43,7 +43,7 @@ PRODUCTS = (
     "last-frame*.*",
 )
 # Layers of a PNG are 16 bits deep; a resolution is told in micrometres.
-_DEEPEST_GRAY = 65535
+_MAX_GRAY = 65535
 _KINDS = {"resolution": ("float32", 0.0), "views": ("uint16", None), "last-frame": ("int32", -1.0)}
 _OVERVIEW_PIXELS = 1600
 
@@ -113,7 +113,9 @@ def write_products(
         return None
     check_png(grid, options)
     for name in options.formats:
-        FORMATS[name](_Map(folder, suffix, store, grid, unit, map_from_painted, options, workers))
+        FORMATS[name](
+            MapToWrite(folder, suffix, store, grid, unit, map_from_painted, options, workers)
+        )
     return grid
 
 
@@ -131,7 +133,7 @@ def overview(store: TileStore, grid: Grid) -> tuple[UInt8Array, UInt8Array, Grid
     return image, mask, small
 
 
-class _Map:
+class MapToWrite:
     """A map to be written, with all that its writers ask for."""
 
     def __init__(
@@ -150,17 +152,18 @@ class _Map:
         self.workers = workers
 
     def path(self, stem: str, ending: str) -> Path:
+        """Return where one output of this map is written."""
         return self.folder / f"{stem}{self.suffix}{ending}"
 
 
-def _write_png(what: _Map) -> None:
+def _write_png(what: MapToWrite) -> None:
     path = what.path("mosaic", ".png")
     _write_strips(what, path, _floor_strip)
     world_file.write_nav2_map(
         what.path("mosaic", ".yaml"), path.name, what.grid, what.unit, what.map_from_painted
     )
     if what.store.stands():
-        _write_strips(what, what.path("standing", ".png"), _standing_strip)
+        _write_strips(what, what.path("obstacles", ".png"), _obstacle_strip)
     for name in what.options.layers:
         pixels = np.zeros((what.grid.height, what.grid.width), np.uint16)
         for row, column, tile in what.store.tiles(what.grid):
@@ -169,7 +172,9 @@ def _write_png(what: _Map) -> None:
         world_file.write_world_file(what.path(name, ".pgw"), what.grid, what.map_from_painted)
 
 
-def _write_strips(what: _Map, path: Path, strip: Callable[[TileStore, Grid], png.Strip]) -> None:
+def _write_strips(
+    what: MapToWrite, path: Path, strip: Callable[[TileStore, Grid], png.Strip]
+) -> None:
     grid, side = what.grid, tiles.TILE_PIXELS
     # Cut where tiles end, so that none is read twice.
     first = side - round(-grid.y_max / grid.metres_per_pixel) % side
@@ -188,15 +193,15 @@ def _floor_strip(store: TileStore, grid: Grid) -> png.Strip:
     return png.compress(world_file.transparent(*store.flatten(grid)))
 
 
-def _standing_strip(store: TileStore, grid: Grid) -> png.Strip:
+def _obstacle_strip(store: TileStore, grid: Grid) -> png.Strip:
     layer = np.zeros((grid.height, grid.width, 4), np.uint8)
     for row, column, tile in store.tiles(grid):
-        if tile.standing is not None:
-            put_part(layer, tile.standing, row, column)
+        if tile.obstacles is not None:
+            put_part(layer, tile.obstacles, row, column)
     return png.compress(layer)
 
 
-def _write_geotiff(what: _Map) -> None:
+def _write_geotiff(what: MapToWrite) -> None:
     shape = (what.grid.height, what.grid.width)
     transform = what.map_from_painted.matrix @ what.grid.metres_from_corner
     datum = what.options.datum
@@ -216,13 +221,13 @@ def _write_geotiff(what: _Map) -> None:
 
     write("mosaic", 4, "uint8", lambda tile: world_file.transparent(tile.image, tile.mask), None)
     if what.store.stands():
-        write("standing", 4, "uint8", lambda tile: tile.standing, None)
+        write("obstacles", 4, "uint8", lambda tile: tile.obstacles, None)
     for name in what.options.layers:
         kind, nodata = _KINDS[name]
         write(name, 1, kind, lambda tile, name=name: tile.layers[name], nodata)  # type: ignore[misc]
 
 
-def _write_deep_zoom(what: _Map) -> None:
+def _write_deep_zoom(what: MapToWrite) -> None:
     grid = what.grid
     side = tiles.TILE_PIXELS
     aligned = _aligned(grid)
@@ -245,7 +250,7 @@ def _write_deep_zoom(what: _Map) -> None:
     deepzoom.write_deep_zoom(what.folder, name, (aligned.width, aligned.height), side, cut())
 
 
-def _write_nav2(what: _Map) -> None:
+def _write_nav2(what: MapToWrite) -> None:
     """Write free, occupied and unknown at a planner's resolution."""
     scale = what.grid.metres_per_pixel
     factor = 1
@@ -258,8 +263,8 @@ def _write_nav2(what: _Map) -> None:
         gray[obstacles.line_cells(image, mask, scale * factor)] = world_file.OCCUPIED_GRAY
     else:
         for row, column, tile in what.store.tiles(grid):
-            if tile.standing is not None:
-                stands = obstacles.standing_cells(tile.standing, factor)
+            if tile.obstacles is not None:
+                stands = obstacles.obstacle_cells(tile.obstacles, factor)
                 part = gray[row // factor :, column // factor :][
                     : stands.shape[0], : stands.shape[1]
                 ]
@@ -278,7 +283,7 @@ def _write_nav2(what: _Map) -> None:
     )
 
 
-FORMATS: dict[str, Callable[[_Map], None]] = {
+FORMATS: dict[str, Callable[[MapToWrite], None]] = {
     "png": _write_png,
     "geotiff": _write_geotiff,
     "deepzoom": _write_deep_zoom,
@@ -287,7 +292,7 @@ FORMATS: dict[str, Callable[[_Map], None]] = {
 
 
 def _blocks(
-    what: _Map, pixels: Callable[[StoredTile], GenericArray | None]
+    what: MapToWrite, pixels: Callable[[StoredTile], GenericArray | None]
 ) -> Iterator[tuple[int, int, GenericArray]]:
     for row, column, tile in what.store.tiles(what.grid):
         part = pixels(tile)
@@ -301,7 +306,7 @@ def _deep_gray(layer: Layer, values: GenericArray) -> UInt16Array:
         whole = np.rint(values.astype(np.float64) * 1e6)
     else:
         whole = values.astype(np.float64) + (1 if layer == "last-frame" else 0)
-    if whole.max(initial=0) > _DEEPEST_GRAY:
+    if whole.max(initial=0) > _MAX_GRAY:
         raise InputError(f"the layer {layer} does not fit into a PNG; use --format geotiff")
     return whole.astype(np.uint16)
 

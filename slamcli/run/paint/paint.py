@@ -17,18 +17,18 @@ from slamcli.core.camera.mounting import rocked
 from slamcli.core.config import ProductOptions
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Grid, Pose2
-from slamcli.core.records import PoseEstimate, Shot, Tile
+from slamcli.core.records import PosedFrame, PoseEstimate, Tile
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.io.raster.tile_store import TileStore
 from slamcli.mapping.backend.pose_graph import placed_fragments
-from slamcli.run.paint.frame_cache import Pictures, most_at_once, most_pictures, size_text
-from slamcli.run.paint.thumbnails import Glimpses, read_glimpse
+from slamcli.run.paint.frame_cache import FrameCache, max_at_once, max_pictures, size_text
+from slamcli.run.paint.thumbnails import Thumbnails, read_glimpse
 from slamcli.run.session.executor import Progress, ordered
 from slamcli.run.session.interruption import Interruption
 from slamcli.stages.mosaic import exposure, tiles
 from slamcli.stages.mosaic.exposure import Exposure, Shared
 from slamcli.stages.mosaic.painter import Painter
-from slamcli.stages.mosaic.sampling import Picture
+from slamcli.stages.mosaic.sampling import SourceImage
 from slamcli.stages.mosaic.tiles import TileKey
 
 # Arrays of a tile that is being painted, at their most: its pixels, and the cells of each view.
@@ -36,7 +36,7 @@ _TILE_BYTES, _TILE_VIEW_BYTES = 60_000_000, 350_000
 _STORED_TILE_BYTES = tiles.TILE_PIXELS**2 * 3 + tiles.TILE_PIXELS**2 // 8
 _LAYER_BYTES = {"resolution": 4, "views": 2, "last-frame": 4}
 # A PNG of more than this would not open in most viewers.
-_LARGEST_PNG_PIXELS = 400_000_000
+_MAX_PNG_PIXELS = 400_000_000
 _PNG_BYTES_A_PIXEL = 5
 
 
@@ -49,18 +49,18 @@ class Scene:
     calibration : Calibration
         That the frames have in common.
     files : tuple of FrameFile
-    shots : tuple of Shot
+    shots : tuple of PosedFrame
         Of the same length.
     map_from_painted : Pose2
-    glimpses : Glimpses
+    glimpses : Thumbnails
         Of its frames, those that are at hand.
     """
 
     calibration: Calibration
     files: tuple[FrameFile, ...]
-    shots: tuple[Shot, ...]
+    shots: tuple[PosedFrame, ...]
     map_from_painted: Pose2
-    glimpses: Glimpses
+    thumbnails: Thumbnails
 
 
 def scenes_of(
@@ -68,7 +68,7 @@ def scenes_of(
     estimates: Sequence[PoseEstimate],
     file_of: Callable[[PoseEstimate], FrameFile],
     turn_radians: float,
-    glimpses: Glimpses | None = None,
+    thumbnails: Thumbnails | None = None,
 ) -> list[tuple[Scene, list[PoseEstimate]]]:
     """Return what is painted: every fragment, with its frames.
 
@@ -79,7 +79,7 @@ def scenes_of(
         seen = [estimate for estimate in members if estimate.status == "tracked"]
         turn = Pose2(0.0, 0.0, turn_radians)
         shots = tuple(
-            Shot(
+            PosedFrame(
                 e.index,
                 turn @ e.map_from_robot if turn_radians else e.map_from_robot,
                 calibration if e.rocking is None else rocked(calibration, e.rocking),
@@ -88,7 +88,7 @@ def scenes_of(
             if e.map_from_robot is not None
         )
         files = tuple(file_of(estimate) for estimate in seen)
-        scene = Scene(calibration, files, shots, turn.inverse(), glimpses or Glimpses())
+        scene = Scene(calibration, files, shots, turn.inverse(), thumbnails or Thumbnails())
         scenes.append((scene, turned(members, scene)))
     return scenes
 
@@ -135,10 +135,10 @@ def paint_scene(
     if not plan:
         raise InputError("no frame sees anything of that crop; poses.csv tells where they are")
     canvas = workers * _tile_bytes(plan)
-    most = most_pictures(painter.picture_bytes, options.memory_bytes, canvas, workers)
+    most = max_pictures(painter.picture_bytes, options.memory_bytes, canvas, workers)
     left = [(key, numbers) for key, numbers in plan if (key.row, key.column) not in store]
     uses = Counter(chain.from_iterable(numbers for _, numbers in left))
-    pictures = Pictures(partial(_picture, painter, scene), most, uses)
+    pictures = FrameCache(partial(_picture, painter, scene), most, uses)
     work = partial(_paint, painter, scene, pictures)
     # First some of the middle, by whose time all the others' is foretold.
     middle = len(left) // 2
@@ -150,7 +150,7 @@ def paint_scene(
         store.put(key.row, key.column, tile)
         if number == min(workers, len(left)):
             seconds = (time.perf_counter() - started) * (len(left) - number) / number
-            held = min(most, most_at_once([numbers for _, numbers in plan]))
+            held = min(most, max_at_once([numbers for _, numbers in plan]))
             tell(estimate(painter, plan, options, held, seconds, workers))
         progress("painting", done + number, len(plan))
         if interruption.heeded():
@@ -195,7 +195,7 @@ def _tile_bytes(plan: Sequence[tuple[TileKey, list[int]]]) -> int:
 def check_png(grid: Grid, options: ProductOptions) -> None:
     """Refuse a picture too large for one PNG, and say what would hold it."""
     pixels = grid.width * grid.height
-    most = min(_LARGEST_PNG_PIXELS, options.memory_bytes // _PNG_BYTES_A_PIXEL)
+    most = min(_MAX_PNG_PIXELS, options.memory_bytes // _PNG_BYTES_A_PIXEL)
     if "png" in options.formats and pixels > most:
         fitting = grid.metres_per_pixel * (pixels / most) ** 0.5
         raise InputError(
@@ -235,7 +235,7 @@ def _light(scene: Scene, workers: int, progress: Progress, scheduler: str) -> Ex
     work = partial(_observe, hull, step)
     observations = []
     jobs = (
-        (file, shot, scene.glimpses.take(file))
+        (file, shot, scene.thumbnails.take(file))
         for file, shot in zip(scene.files, scene.shots, strict=True)
     )
     for done, one in enumerate(ordered(work, jobs, workers, scheduler), start=1):
@@ -247,7 +247,7 @@ def _light(scene: Scene, workers: int, progress: Progress, scheduler: str) -> Ex
 def _observe(
     hull: Float64Array,
     step: float,
-    job: tuple[FrameFile, Shot, UInt8Array | None],
+    job: tuple[FrameFile, PosedFrame, UInt8Array | None],
 ) -> Shared:
     file, shot, gray = job
     try:
@@ -265,7 +265,7 @@ def _wanted(key: TileKey, scale: float, options: ProductOptions) -> bool:
     return grid.x_min < x_max and grid.x_max > x_min and grid.y_min < y_max and grid.y_max > y_min
 
 
-def _picture(painter: Painter, scene: Scene, number: int) -> Picture:
+def _picture(painter: Painter, scene: Scene, number: int) -> SourceImage:
     try:
         frame = read_frame(scene.files[number], halved=painter.halves)
     except FrameError:
@@ -274,7 +274,7 @@ def _picture(painter: Painter, scene: Scene, number: int) -> Picture:
 
 
 def _paint(
-    painter: Painter, scene: Scene, pictures: Pictures, item: tuple[TileKey, list[int]]
+    painter: Painter, scene: Scene, pictures: FrameCache, item: tuple[TileKey, list[int]]
 ) -> Tile | None:
     key, numbers = item
     tile = painter.paint(key, scene.shots, numbers, pictures)

@@ -10,10 +10,10 @@ from slamcli.io.frames import FrameFile, read_frame
 from slamcli.stages import view
 from slamcli.stages.mosaic import exposure
 
-_MOST_BYTES = 40_000_000
+_MAX_BYTES = 40_000_000
 
 
-class Glimpses:
+class Thumbnails:
     """What frames look like from afar, of as many as fit; may be shared by threads.
 
     In another process it is empty.
@@ -24,12 +24,12 @@ class Glimpses:
         self._kept: dict[int, UInt8Array] = {}
         self._bytes = 0
 
-    def __reduce__(self) -> tuple[type[Glimpses], tuple[()]]:
-        return Glimpses, ()
+    def __reduce__(self) -> tuple[type[Thumbnails], tuple[()]]:
+        return Thumbnails, ()
 
     def keep(self, frame: Frame) -> None:
         """Remember what a frame looks like, while there is room."""
-        if self._bytes < _MOST_BYTES:
+        if self._bytes < _MAX_BYTES:
             small = glimpse(frame)
             with self._lock:
                 self._kept[frame.index] = small
@@ -49,5 +49,5 @@ def glimpse(frame: Frame) -> UInt8Array:
 
 
 def read_glimpse(file: FrameFile) -> UInt8Array:
-    """Return what `Glimpses` would have kept of a frame; raises FrameError."""
+    """Return what `Thumbnails` would have kept of a frame; raises FrameError."""
     return glimpse(read_frame(file, gray=True))

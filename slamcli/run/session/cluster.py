@@ -20,7 +20,7 @@ from slamcli.core.errors import InputError
 _QUIET = {"distributed.admin.large-graph-warning-threshold": "1GB"}
 _CONNECT_SECONDS = 10
 # A frame that kills so many workers is not given to one more.
-_MOST_DEATHS = 4
+_MAX_DEATHS = 4
 
 
 class Cluster(Executor):
@@ -33,7 +33,7 @@ class Cluster(Executor):
 
     def __init__(self, client: Any) -> None:
         self._client = client
-        self._executor = client.get_executor(pure=False, retries=_MOST_DEATHS)
+        self._executor = client.get_executor(pure=False, retries=_MAX_DEATHS)
         self._kept: dict[Callable[..., Any], Any] = {}
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:

@@ -27,7 +27,7 @@ from slamcli.run.networks import (
 )
 from slamcli.run.paint import outputs
 from slamcli.run.paint.paint import scenes_of
-from slamcli.run.paint.thumbnails import Glimpses
+from slamcli.run.paint.thumbnails import Thumbnails
 from slamcli.run.session.executor import Progress
 from slamcli.run.session.interruption import Interruption, interruptible
 from slamcli.run.stitch import exports, report
@@ -103,9 +103,9 @@ def stitch(
         output_folder(output, patterns, overwrite=overwrite, resume=options.resume) as staging,
     ):
         mapper = _begin(new, inputs, options, files, checkpoint, tell)
-        glimpses = Glimpses()
+        thumbnails = Thumbnails()
         note = _locate(
-            mapper, inputs, options, readings, checkpoint, progress, interruption, glimpses
+            mapper, inputs, options, readings, checkpoint, progress, interruption, thumbnails
         )
         found, refined = registration_of(mapper), None
         if options.self_calibrate and not interruption.happened:
@@ -120,7 +120,7 @@ def stitch(
             estimates,
             lambda estimate: inputs.files[estimate.index],
             options.products.turn_radians,
-            glimpses,
+            thumbnails,
         )
         # Tiles of poses that more frames would change are of no use to a run that goes on.
         unfinished = staging / "tiles"
@@ -216,15 +216,15 @@ def _locate(
     checkpoint: Checkpoint,
     progress: Progress,
     interruption: Interruption,
-    glimpses: Glimpses,
+    thumbnails: Thumbnails,
 ) -> str:
     """First walk: every frame to its pose or its reason; those that a mapper has seen are done.
 
     Returns the clocks' offset, in words, if it was to be found.
     """
-    pace, total = _Pace(), len(inputs.files)
+    pace, total = _SaveSchedule(), len(inputs.files)
     workers, scheduler = options.workers, options.scheduler
-    for done in walk(mapper, inputs.files, workers, progress, scheduler, glimpses):
+    for done in walk(mapper, inputs.files, workers, progress, scheduler, thumbnails):
         if options.debug:
             draw_trials(mapper.trials, checkpoint.drawings)
         stop = interruption.heeded()
@@ -246,7 +246,7 @@ def _not_reached(inputs: Inputs, mapper: Mapper) -> list[PoseEstimate]:
     ]
 
 
-class _Pace:
+class _SaveSchedule:
     """When to save a state next: not before long, and never for more than a share of the time."""
 
     def __init__(self) -> None:

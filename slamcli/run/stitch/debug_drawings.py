@@ -7,14 +7,14 @@ from pathlib import Path
 
 from slamcli.core.arrays import Float64Array, Int32Array, UInt8Array
 from slamcli.core.geometry import apply_homography, invert
-from slamcli.core.records import Prepared
+from slamcli.core.records import PreparedFrame
 from slamcli.drawing.matches import draw_matches
 from slamcli.io.files import write_image
-from slamcli.registration import Trial
+from slamcli.registration import RegistrationResult
 from slamcli.stages import view
 
 
-def draw_trials(trials: Sequence[Trial], folder: Path) -> None:
+def draw_trials(trials: Sequence[RegistrationResult], folder: Path) -> None:
     """Draw every comparison that placed a frame, or failed to."""
     for trial in trials:
         first, second, fit = trial.keyframe, trial.prepared, trial.alignment
@@ -47,7 +47,7 @@ def draw_trials(trials: Sequence[Trial], folder: Path) -> None:
 
 
 def _drawable(
-    prepared: Prepared, chosen: Int32Array
+    prepared: PreparedFrame, chosen: Int32Array
 ) -> tuple[UInt8Array, Float64Array, Float64Array]:
     """Return a frame's view, its chosen points in that view's pixels, and pixel_from_metres.
 

@@ -23,12 +23,12 @@ from slamcli.run.stitch.options import StitchOptions
 from slamcli.stages.mosaic.painter import Painter
 
 _PROBES, _PROBE_FRAMES = 4, 3
-_DARK_GRAY, _WHITE_GRAY, _MOST_WHITE = 25.0, 250, 0.25
+_DARK_GRAY, _WHITE_GRAY, _MAX_WHITE = 25.0, 250, 0.25
 # Detail of a frame, as a share of what its neighbours have, below which it is blurred.
-_LEAST_DETAIL = 0.4
+_MIN_DETAIL = 0.4
 _NEIGHBOURS = 5
-_LONGEST_PAUSE = 5.0
-_LEAST_OVERLAP = 0.3
+_MAX_PAUSE = 5.0
+_MIN_OVERLAP = 0.3
 _NAMES_SHOWN = 4
 
 
@@ -99,7 +99,7 @@ def _problems(files: Sequence[FrameFile], looks: Sequence[_Look]) -> list[str]:
     same = [b for a, b in pairwise(read) if looks[a].digest == looks[b].digest]
     kinds = [
         ("too dark", [n for n in read if looks[n].mean < _DARK_GRAY]),
-        ("overexposed", [n for n in read if looks[n].white > _MOST_WHITE]),
+        ("overexposed", [n for n in read if looks[n].white > _MAX_WHITE]),
         ("blurred", _blurred([looks[n].detail for n in read], read)),
         ("same picture as the one before", same),
     ]
@@ -108,7 +108,7 @@ def _problems(files: Sequence[FrameFile], looks: Sequence[_Look]) -> list[str]:
     kinds.append(("stamp not after the one before", [n for n, step in steps if step <= 0]))
     if steps:
         usual = float(np.median([step for _, step in steps]))
-        late = [n for n, step in steps if step > _LONGEST_PAUSE * usual > 0]
+        late = [n for n, step in steps if step > _MAX_PAUSE * usual > 0]
         kinds.append(("a long pause before", late))
     return found + [
         f"{kind}: {len(members)} ({_some([names[n] for n in members])})"
@@ -128,7 +128,7 @@ def _blurred(details: Sequence[float], numbers: Sequence[int]) -> list[int]:
     found = []
     for place, number in enumerate(numbers):
         around = values[max(0, place - _NEIGHBOURS) : place + _NEIGHBOURS + 1]
-        if values[place] < _LEAST_DETAIL * float(np.median(around)):
+        if values[place] < _MIN_DETAIL * float(np.median(around)):
             found.append(number)
     return found
 
@@ -159,7 +159,7 @@ def _costs(inputs: Inputs, options: StitchOptions) -> list[str]:
     seen = area * (1.0 + (len(files) - 1) * (1.0 - overlap))
     pixels = seen / scale**2
     memory = min(options.products.memory_bytes, len(files) * painter.picture_bytes)
-    note = "; too little: drive slower or take more frames" if overlap < _LEAST_OVERLAP else ""
+    note = "; too little: drive slower or take more frames" if overlap < _MIN_OVERLAP else ""
     return [
         f"{'overlap':<12} {overlap:.0%} of a view is in the one before{note}",
         f"{'map':<12} about {seen:.3g} {calibration.unit}², {pixels / 1e6:.3g} Mpx of {scale:g} "

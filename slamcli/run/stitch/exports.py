@@ -20,7 +20,7 @@ from slamcli.io.toml import Scalar
 from slamcli.io.trajectories import write_kitti, write_tum
 from slamcli.mapping.backend.pose_graph import placed_fragments
 from slamcli.mapping.mapper import Mapper
-from slamcli.selfcal import Registration
+from slamcli.selfcal import RegisteredDrive
 from slamcli.stages.geodesy import LocalPlane, projection
 
 PRODUCTS = ("trajectory*.tum", "trajectory*.kitti", "graph*.g2o", "track.geojson", "links.csv")
@@ -37,12 +37,14 @@ def check_exports(kinds: Sequence[str], files: Sequence[FrameFile], *, has_gps: 
         raise InputError("--export geojson needs --gps, which tells where on Earth the track is")
 
 
-def write_exports(folder: Path, kinds: Sequence[str], found: Registration, mapper: Mapper) -> None:
+def write_exports(
+    folder: Path, kinds: Sequence[str], found: RegisteredDrive, mapper: Mapper
+) -> None:
     """Write what was asked for, a file a fragment, or one for all."""
     fragments = placed_fragments(found.estimates)
     off = found.switched_off
     links = [link for number, link in enumerate(found.links) if number not in off]
-    links += mapper.senses.chain(found.estimates)
+    links += mapper.sensors.chain(found.estimates)
     for fragment, members in fragments.items():
         suffix = "" if fragment == 0 else f"_{fragment}"
         for kind in kinds:

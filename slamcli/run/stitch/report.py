@@ -18,7 +18,7 @@ from slamcli.run.networks import LEARNED
 from slamcli.run.stitch import exports
 from slamcli.run.stitch.options import StitchOptions
 from slamcli.run.telemetry import TelemetryFiles
-from slamcli.selfcal import Refinement
+from slamcli.selfcal import SelfCalibration
 
 # The exit code of a program that SIGINT ended.
 _INTERRUPTED = 130
@@ -40,7 +40,7 @@ def write_run(
     files: TelemetryFiles,
     estimates: Sequence[PoseEstimate],
     mapper: Mapper,
-    refined: Refinement | None,
+    refined: SelfCalibration | None,
 ) -> None:
     """Write run.toml: what was told, and what came of it."""
     sections: dict[str, dict[str, toml.Scalar]] = {
@@ -84,7 +84,7 @@ def report(
     seconds: float,
     output: Path,
     time_offset: str,
-    refined: Refinement | None,
+    refined: SelfCalibration | None,
     *,
     interrupted: bool,
 ) -> StitchReport:
@@ -133,6 +133,6 @@ def _said_of_telemetry(
     if time_offset:
         rows.append(("time offset", time_offset))
     rows += [("on Earth", exports.tell(found)) for found in mapper.georeferences.values()]
-    if mapper.senses.datum_degrees is not None and not mapper.georeferences:
+    if mapper.sensors.datum_degrees is not None and not mapper.georeferences:
         rows.append(("on Earth", "not known: the way is too short for what the GPS tells"))
     return rows

@@ -20,9 +20,9 @@ from slamcli.simulation.floors import course, laid, poured
 
 BLOCK_PIXELS = 512
 # Enough for the floor before a robot; older blocks are made again when it comes back.
-_MOST_BLOCKS = 600
+_MAX_BLOCKS = 600
 # A camera sees far more floor from afar: of that the small levels, this one on, are kept for long.
-_COARSE_LEVEL, _MOST_COARSE_BLOCKS = 3, 12_000
+_COARSE_LEVEL, _MAX_COARSE_BLOCKS = 3, 12_000
 _LEVELS = 6
 
 
@@ -80,8 +80,8 @@ class BlockFloor:
         levels = self._pyramid(*key)
         with self._lock:
             if not first:
-                _keep(self._blocks, key, levels, _MOST_BLOCKS)
-            _keep(self._coarse, key, levels[_COARSE_LEVEL:], _MOST_COARSE_BLOCKS)
+                _keep(self._blocks, key, levels, _MAX_BLOCKS)
+            _keep(self._coarse, key, levels[_COARSE_LEVEL:], _MAX_COARSE_BLOCKS)
         return levels[level]
 
     def _pyramid(self, column: int, row: int) -> list[UInt8Array]:

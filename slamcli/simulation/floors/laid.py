@@ -96,17 +96,15 @@ def _places(grid: Grid) -> tuple[Float64Array, Float64Array]:
 
 def _hashed(column: NDArray[np.int_], row: NDArray[np.int_], seed: int) -> Float64Array:
     """Return a number in [-1, 1) for each piece, by its place and the seed alone."""
-    least_column, least_row = int(column.min()), int(row.min())
-    rows = int(row.max()) - least_row + 1
+    min_column, min_row = int(column.min()), int(row.min())
+    rows = int(row.max()) - min_row + 1
     # One number to a piece: numpy sorts pairs twenty times as slowly.
-    pieces, inside = np.unique(
-        (column - least_column) * rows + (row - least_row), return_inverse=True
-    )
+    pieces, inside = np.unique((column - min_column) * rows + (row - min_row), return_inverse=True)
     values = np.empty(len(pieces))
     for index, piece in enumerate(pieces):
         piece_column, piece_row = divmod(int(piece), rows)
         # Seeds are natural numbers; the offset keeps those of pieces left of the origin so.
-        place = piece_column + least_column + 2**31, piece_row + least_row + 2**31
+        place = piece_column + min_column + 2**31, piece_row + min_row + 2**31
         values[index] = np.random.default_rng([seed, *place]).uniform(-1.0, 1.0)
     return values[inside]
 

@@ -5,8 +5,8 @@ explain them, `projection` carries pixels from frame to frame for both.
 """
 
 from slamcli.stages.adjustment.patch_tracking import Matches, choose_points, track
-from slamcli.stages.adjustment.projection import View, changed, transfer
-from slamcli.stages.adjustment.pyramid import DEEPEST_LEVEL, Pyramid, make_pyramid
+from slamcli.stages.adjustment.projection import FramePose, changed, transfer
+from slamcli.stages.adjustment.pyramid import MAX_LEVEL, Pyramid, make_pyramid
 from slamcli.stages.adjustment.solver import (
     FIRST_ROCKING,
     Adjustment,
@@ -15,12 +15,12 @@ from slamcli.stages.adjustment.solver import (
 )
 
 __all__ = [
-    "DEEPEST_LEVEL",
     "FIRST_ROCKING",
+    "MAX_LEVEL",
     "Adjustment",
+    "FramePose",
     "Matches",
     "Pyramid",
-    "View",
     "adjust",
     "changed",
     "choose_points",

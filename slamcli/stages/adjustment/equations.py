@@ -16,7 +16,7 @@ from slamcli.stages.adjustment.projection import (
     CAMERA_PARAMETERS,
     FRAME_PARAMETERS,
     POSE_PARAMETERS,
-    View,
+    FramePose,
     transfer_with_jacobians,
 )
 
@@ -25,7 +25,7 @@ _KERNEL_SIGMAS = 3.0
 # Median length of a normal error in one direction, and in two.
 _MEDIAN_ONE, _MEDIAN_TWO = 0.6745, math.sqrt(2.0 * math.log(2.0))
 _LINE_RATIO = 0.3
-_LEAST_SCALE = 0.3
+_MIN_SCALE = 0.3
 # No calibration is worse than about this, and what the matches leave open must not run away: log
 # focal length, radial coefficients, pitch, roll, principal point (in focal lengths).
 _CAMERA_SIGMAS = np.array([0.15, 0.4, 0.4, 0.1, 0.1, 0.02, 0.02])
@@ -50,11 +50,11 @@ class Layout:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
+class BundleState:
     """Where the unknowns stand, and how uneven the floor is (m, one sigma)."""
 
     calibration: Calibration
-    views: dict[int, View]
+    views: dict[int, FramePose]
     change: Float64Array
     unevenness_metres: float = 0.0
 
@@ -108,7 +108,7 @@ def prior_information(layout: Layout, sigmas: Float64Array) -> Float64Array:
     return np.concatenate([_CAMERA_SIGMAS**-2, np.tile(by_frame, len(layout.frames))])
 
 
-def held_values(layout: Layout, state: State) -> Float64Array:
+def held_values(layout: Layout, state: BundleState) -> Float64Array:
     """Return (K,): how far each unknown that is held near zero stands from it."""
     values = np.zeros(layout.count)
     values[:CAMERA_PARAMETERS] = state.change
@@ -123,7 +123,7 @@ def held_values(layout: Layout, state: State) -> Float64Array:
     return values
 
 
-def linearise(state: State, matches: Sequence[Matches], layout: Layout) -> list[Block]:
+def linearise(state: BundleState, matches: Sequence[Matches], layout: Layout) -> list[Block]:
     """Return every pair of frames linearised about a state."""
     places = {index: place for place, index in enumerate(layout.frames)}
     blocks = []
@@ -134,7 +134,7 @@ def linearise(state: State, matches: Sequence[Matches], layout: Layout) -> list[
     return blocks
 
 
-def _linearise_pair(state: State, pair: Matches, unknowns: Int64Array) -> Block:
+def _linearise_pair(state: BundleState, pair: Matches, unknowns: Int64Array) -> Block:
     views = state.views[pair.a], state.views[pair.b]
     moved = transfer_with_jacobians(state.calibration, *views, pair.pixels_a)
     seen = np.isfinite(moved.pixels).all(axis=1)
@@ -183,7 +183,7 @@ def unevenness_seen(blocks: Sequence[Block], scale: float) -> float:
 def residual_scale(blocks: Sequence[Block]) -> float:
     """Return how many times longer residuals are than their sigmas foretell (median)."""
     lengths = [np.linalg.norm(block.residual, axis=1) / block.median for block in blocks]
-    return max(float(np.median(np.concatenate(lengths))), _LEAST_SCALE)
+    return max(float(np.median(np.concatenate(lengths))), _MIN_SCALE)
 
 
 def _squares(block: Block, scale: float) -> Float64Array:
@@ -216,7 +216,7 @@ def normal_equations(
     scale: float,
     prior: Float64Array,
     layout: Layout,
-    state: State,
+    state: BundleState,
 ) -> tuple[csc_matrix, Float64Array]:
     """Return the normal matrix (K, K), sparse, and the gradient (K,); identity where held."""
     gradient = prior * held_values(layout, state)

@@ -20,14 +20,14 @@ from slamcli.stages.adjustment.pyramid import Pyramid
 Warp = Callable[[Float64Array], Float64Array]
 
 HALF_PIXELS = 7
-_MOST_ITERATIONS = 10
+_MAX_ITERATIONS = 10
 _CONVERGED_PIXELS = 0.01
 _DAMPING_SHARE = 0.003
-_LEAST_CORRELATION = 0.75
-_LEAST_SHARE_SEEN = 0.5
+_MIN_CORRELATION = 0.75
+_MIN_SHARE_SEEN = 0.5
 # Neighbouring pixels' residuals are alike, by the smoothing and by what the picture was stored as.
 _CORRELATED_PIXELS = 6.0
-_LEAST_SIGMA_PIXELS = 0.03
+_MIN_SIGMA_PIXELS = 0.03
 # Where the other picture is finer by more than this, a coarser level of it is read.
 _FINER = math.sqrt(2.0)
 
@@ -125,7 +125,7 @@ def cut(
         _reading(second, int(number), np.flatnonzero(known & (read == number)), coefficients, size)
         for number in np.unique(read[known])
     )
-    good = known & (inside.mean(axis=1) >= _LEAST_SHARE_SEEN)
+    good = known & (inside.mean(axis=1) >= _MIN_SHARE_SEEN)
     return Windows(level, values, gradients, inside, coefficients, readings, good)
 
 
@@ -137,7 +137,7 @@ def align(windows: Windows, start: Float64Array) -> Float64Array:
     largest = np.trace(information, axis1=1, axis2=2)
     damped = information + (_DAMPING_SHARE * largest + 1e-6)[:, None, None] * np.eye(2)
     inverse = np.linalg.inv(damped)
-    for _ in range(_MOST_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         residual, _, _ = _residual(windows, shift)
         gradient = np.einsum("nwi,nw->ni", windows.gradients, residual)
         step = np.einsum("nij,nj->ni", inverse, gradient)
@@ -163,9 +163,9 @@ def judge(windows: Windows, shift: Float64Array) -> Judged:
     information /= np.maximum(noise, 0.25)[:, None, None] * _CORRELATED_PIXELS
     values, vectors = np.linalg.eigh(information)
     values = np.maximum(values, 0.0)
-    values /= 1.0 + values * _LEAST_SIGMA_PIXELS**2
+    values /= 1.0 + values * _MIN_SIGMA_PIXELS**2
     whitening = np.sqrt(values)[:, :, None] * vectors.transpose(0, 2, 1)
-    good = (correlation >= _LEAST_CORRELATION) & (share >= _LEAST_SHARE_SEEN)
+    good = (correlation >= _MIN_CORRELATION) & (share >= _MIN_SHARE_SEEN)
     return Judged(good & (values[:, 1] > 1.0), whitening)
 
 

@@ -25,10 +25,10 @@ from slamcli.stages.adjustment.patch_alignment import (
     slope_of_warp,
     slopes,
 )
-from slamcli.stages.adjustment.pyramid import DEEPEST_LEVEL, Pyramid
+from slamcli.stages.adjustment.pyramid import MAX_LEVEL, Pyramid
 
 # Weaker gradients, in gray levels a pixel, are the camera's noise.
-_LEAST_GRADIENT_GRAY = 1.5
+_MIN_GRADIENT_GRAY = 1.5
 # Corners tell both directions; a line's one is worth this share of it.
 _LINE_SHARE = 0.05
 
@@ -75,7 +75,7 @@ def choose_points(pyramid: Pyramid, seen: UInt8Array, count: int) -> Float64Arra
     )
     middle, spread = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
     telling = np.maximum(middle - spread, 0.0) + _LINE_SHARE * (middle + spread)
-    strong = (middle + spread > _LEAST_GRADIENT_GRAY**2) & (np.asarray(usable) == 255)
+    strong = (middle + spread > _MIN_GRADIENT_GRAY**2) & (np.asarray(usable) == 255)
     telling = np.where(strong, telling, 0.0)
     rows, columns = telling.shape[0] // cell, telling.shape[1] // cell
     cells = telling[: rows * cell, : columns * cell].reshape(rows, cell, columns, cell)
@@ -92,7 +92,7 @@ def track(
     second: Pyramid,
     points: Float64Array,
     second_from_first: Warp,
-    coarsest: int = DEEPEST_LEVEL,
+    coarsest: int = MAX_LEVEL,
 ) -> tuple[Int64Array, Float64Array, Float64Array]:
     """Find points of one picture in another.
 

@@ -25,7 +25,7 @@ POSE_PARAMETERS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class FramePose:
     """Where the camera of one frame stood.
 
     Attributes
@@ -83,13 +83,15 @@ def changed(calibration: Calibration, change: Float64Array) -> Calibration:
     )
 
 
-def transfer(calibration: Calibration, a: View, b: View, pixels_a: Float64Array) -> Float64Array:
+def transfer(
+    calibration: Calibration, a: FramePose, b: FramePose, pixels_a: Float64Array
+) -> Float64Array:
     """Return (N, 2): where b sees the floor that a sees at (N, 2) pixels; nan where it does not."""
     return transfer_with_jacobians(calibration, a, b, pixels_a).pixels
 
 
 def transfer_with_jacobians(
-    calibration: Calibration, a: View, b: View, pixels_a: Float64Array
+    calibration: Calibration, a: FramePose, b: FramePose, pixels_a: Float64Array
 ) -> Transfer:
     """Return where b sees the floor that a sees at (N, 2) pixels, and its derivatives."""
     count = len(pixels_a)

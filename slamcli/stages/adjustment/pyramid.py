@@ -9,7 +9,7 @@ import numpy as np
 
 from slamcli.core.arrays import Float32Array, UInt8Array
 
-DEEPEST_LEVEL = 3
+MAX_LEVEL = 3
 
 
 _SMOOTHING_PIXELS = 0.8
@@ -34,7 +34,7 @@ def make_pyramid(image: UInt8Array, mask: UInt8Array) -> Pyramid:
     """Return the levels of a gray picture (H, W) whose usable floor has 255 in the mask."""
     level = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTHING_PIXELS)
     images, masks = [np.asarray(level, np.float32)], [mask]
-    for _ in range(DEEPEST_LEVEL):
+    for _ in range(MAX_LEVEL):
         images.append(np.asarray(cv2.pyrDown(images[-1]), np.float32))
         masks.append(np.asarray(cv2.pyrDown(masks[-1]), np.uint8))
     return Pyramid(tuple(images), tuple(masks))

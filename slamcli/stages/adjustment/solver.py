@@ -23,8 +23,8 @@ from slamcli.core.camera.calibration import Calibration, Rocking
 from slamcli.core.geometry import Pose2
 from slamcli.stages.adjustment.equations import (
     Block,
+    BundleState,
     Layout,
-    State,
     free_unknowns,
     held_values,
     linearise,
@@ -37,7 +37,7 @@ from slamcli.stages.adjustment.equations import (
 from slamcli.stages.adjustment.patch_tracking import Matches
 from slamcli.stages.adjustment.projection import (
     CAMERA_PARAMETERS,
-    View,
+    FramePose,
     changed,
     transfer_with_jacobians,
 )
@@ -47,8 +47,8 @@ from slamcli.stages.adjustment.uncertainty import (
     rocking_seen,
 )
 
-_MOST_ITERATIONS = 40
-_MOST_RETRIES = 6
+_MAX_ITERATIONS = 40
+_MAX_RETRIES = 6
 _CONVERGED = 1e-3
 # While it is still being learnt how much frames vary, steps towards the end would be wasted.
 _LEARNING_ITERATIONS = 3
@@ -62,7 +62,7 @@ class Adjustment:
     Attributes
     ----------
     calibration : Calibration
-    views : dict of int to View
+    views : dict of int to FramePose
         By frame index.
     camera_change : (7,) float64
         Of log focal length, the first two radial coefficients, pitch, roll and principal point (in
@@ -80,7 +80,7 @@ class Adjustment:
     """
 
     calibration: Calibration
-    views: dict[int, View]
+    views: dict[int, FramePose]
     camera_change: Float64Array
     camera_covariance: Float64Array
     pose_covariances: dict[int, Float64Array]
@@ -91,7 +91,7 @@ class Adjustment:
 
 def adjust(
     calibration: Calibration,
-    views: Mapping[int, View],
+    views: Mapping[int, FramePose],
     matches: Sequence[Matches],
     anchors: Sequence[int],
     *,
@@ -105,7 +105,7 @@ def adjust(
     ----------
     calibration : Calibration
         The start; its height stays.
-    views : mapping of frame index to View
+    views : mapping of frame index to FramePose
         The start of every frame in `matches`.
     matches : sequence of Matches
     anchors : sequence of int
@@ -121,7 +121,7 @@ def adjust(
     """
     frames = tuple(sorted({m.a for m in matches} | {m.b for m in matches}))
     layout = Layout(frames, free_unknowns(frames, anchors, camera_free, rocking_sigmas))
-    state = State(
+    state = BundleState(
         calibration, {index: views[index] for index in frames}, np.zeros(CAMERA_PARAMETERS)
     )
     rounds = 1 + (learning_rounds if np.any(rocking_sigmas) else 0)
@@ -129,7 +129,7 @@ def adjust(
     for number in range(rounds):
         prior = prior_information(layout, sigmas)
         learning = 0 < number < rounds - 1
-        iterations = _LEARNING_ITERATIONS if learning else _MOST_ITERATIONS
+        iterations = _LEARNING_ITERATIONS if learning else _MAX_ITERATIONS
         state, scale, factor, blocks = _descend(state, matches, layout, prior, iterations)
         if number + 1 < rounds:
             sigmas = rocking_seen(state, layout, factor)
@@ -147,7 +147,7 @@ def adjust(
 
 
 def residual_lengths(
-    calibration: Calibration, views: Mapping[int, View], matches: Sequence[Matches]
+    calibration: Calibration, views: Mapping[int, FramePose], matches: Sequence[Matches]
 ) -> Float64Array:
     """Return the length of every match's residual, in its own sigmas, all pairs in their order."""
     lengths = []
@@ -161,12 +161,12 @@ def residual_lengths(
 
 
 def _descend(
-    state: State,
+    state: BundleState,
     matches: Sequence[Matches],
     layout: Layout,
     prior: Float64Array,
     iterations: int,
-) -> tuple[State, float, SuperLU, list[Block]]:
+) -> tuple[BundleState, float, SuperLU, list[Block]]:
     """Run Levenberg-Marquardt; return the state, the residuals' scale, and its last equations."""
     damping = 1e-4
     blocks = linearise(state, matches, layout)
@@ -175,7 +175,7 @@ def _descend(
         cost = total_cost(blocks, scale, prior, held_values(layout, state))
         normal, gradient = normal_equations(blocks, scale, prior, layout, state)
         diagonal = normal.diagonal()
-        for _ in range(_MOST_RETRIES):
+        for _ in range(_MAX_RETRIES):
             damped = splu((normal + diags(damping * diagonal)).tocsc())
             step = np.where(layout.free, -damped.solve(gradient), 0.0)
             tried = _moved(state, layout, step)
@@ -195,7 +195,7 @@ def _descend(
     return state, scale, splu(normal), blocks
 
 
-def _moved(state: State, layout: Layout, step: Float64Array) -> State:
+def _moved(state: BundleState, layout: Layout, step: Float64Array) -> BundleState:
     camera = step[:CAMERA_PARAMETERS]
     calibration = changed(state.calibration, camera)
     views = {}
@@ -203,7 +203,7 @@ def _moved(state: State, layout: Layout, step: Float64Array) -> State:
         own = step[layout.of_frame(place)]
         view = state.views[index]
         height = calibration.height_metres + view.rocking.height_metres
-        views[index] = View(
+        views[index] = FramePose(
             view.map_from_robot @ Pose2(float(own[0]), float(own[1]), float(own[2])),
             Rocking(
                 view.rocking.pitch_radians + float(own[3]),
@@ -211,4 +211,4 @@ def _moved(state: State, layout: Layout, step: Float64Array) -> State:
                 height * math.exp(float(own[5])) - calibration.height_metres,
             ),
         )
-    return State(calibration, views, state.change + camera, state.unevenness_metres)
+    return BundleState(calibration, views, state.change + camera, state.unevenness_metres)

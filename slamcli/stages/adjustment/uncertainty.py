@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse.linalg import SuperLU
 
 from slamcli.core.arrays import Float64Array, Int64Array
-from slamcli.stages.adjustment.equations import Block, Layout, State, held_values, weights
+from slamcli.stages.adjustment.equations import Block, BundleState, Layout, held_values, weights
 from slamcli.stages.adjustment.projection import (
     CAMERA_PARAMETERS,
     FRAME_PARAMETERS,
@@ -16,11 +16,11 @@ from slamcli.stages.adjustment.projection import (
 )
 
 # By how much frames vary at least and at first: pitch, roll (rad), log height.
-_LEAST_ROCKING = np.array([2e-5, 2e-5, 1e-4])
+_MIN_ROCKING = np.array([2e-5, 2e-5, 1e-4])
 _COLUMNS_AT_ONCE = 240
 
 
-def rocking_seen(state: State, layout: Layout, factor: SuperLU) -> Float64Array:
+def rocking_seen(state: BundleState, layout: Layout, factor: SuperLU) -> Float64Array:
     """Return the sigmas that the frames' estimated rocking, and its uncertainty, speak for."""
     held = held_values(layout, state)
     marginals = _marginals(layout, factor, slice(POSE_PARAMETERS, FRAME_PARAMETERS))
@@ -28,12 +28,12 @@ def rocking_seen(state: State, layout: Layout, factor: SuperLU) -> Float64Array:
         held[layout.of_frame(place)[POSE_PARAMETERS:]] ** 2 + np.diag(marginal)
         for place, marginal in enumerate(marginals)
     ]
-    return np.asarray(np.maximum(np.sqrt(np.mean(squares, axis=0)), _LEAST_ROCKING))
+    return np.asarray(np.maximum(np.sqrt(np.mean(squares, axis=0)), _MIN_ROCKING))
 
 
 def camera_covariance(
     layout: Layout,
-    state: State,
+    state: BundleState,
     factor: SuperLU,
     blocks: Sequence[Block],
     prior: Float64Array,

@@ -7,7 +7,7 @@ import numpy as np
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, Int32Array
 from slamcli.core.config import MatchOptions
 from slamcli.core.geometry import Pose2, apply_homography
-from slamcli.core.records import Alignment, Features
+from slamcli.core.records import FeatureAlignment, Features
 from slamcli.stages.align.matching import match_descriptors
 from slamcli.stages.align.models import MODELS
 from slamcli.stages.align.ransac import Consensus, ransac, residuals_of
@@ -37,7 +37,7 @@ def align(
     features_b: Features,
     options: MatchOptions,
     guess: Pose2 | None = None,
-) -> Alignment:
+) -> FeatureAlignment:
     """Match two sets of features, fit a transform, and judge whether to believe it.
 
     Parameters
@@ -50,7 +50,7 @@ def align(
 
     Returns
     -------
-    Alignment
+    FeatureAlignment
         With a one-line reason when it is not to be believed.
     """
     matches, _ = match_descriptors(
@@ -102,7 +102,7 @@ def align(
         or _implausible(a_from_b, points_b[inliers], options)
         or _ambiguous(a_from_b, inliers, ~near, points_a, points_b, thresholds, options)
     )
-    return Alignment(
+    return FeatureAlignment(
         options.model, a_from_b, pose, covariance, matches, inliers, residuals, spread, reason
     )
 
@@ -172,9 +172,11 @@ def _thresholds(
     return np.asarray(options.threshold_sigmas * np.sqrt(variance))
 
 
-def _nothing(a: Features, b: Features, matches: Int32Array, options: MatchOptions) -> Alignment:
+def _nothing(
+    a: Features, b: Features, matches: Int32Array, options: MatchOptions
+) -> FeatureAlignment:
     none = np.zeros(len(matches), dtype=np.bool_)
-    return Alignment(
+    return FeatureAlignment(
         options.model,
         None,
         None,

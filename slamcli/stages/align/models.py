@@ -17,7 +17,7 @@ from slamcli.core.arrays import BoolArray, Complex128Array, Float64Array
 from slamcli.core.config import TransformModel
 
 # Three points closer to one line than this share of their extent determine nothing.
-_LEAST_RELATIVE_AREA = 0.02
+_MIN_RELATIVE_AREA = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +148,7 @@ def sound_samples(
             for third in range(second + 1, size):
                 corners = [first, second, third]
                 area_a, area_b = _relative_area(a[:, corners]), _relative_area(b[:, corners])
-                sound &= np.minimum(np.abs(area_a), np.abs(area_b)) > _LEAST_RELATIVE_AREA
+                sound &= np.minimum(np.abs(area_a), np.abs(area_b)) > _MIN_RELATIVE_AREA
                 sound &= area_a * area_b > 0.0
     return sound
 

@@ -15,11 +15,11 @@ from slamcli.core.arrays import BoolArray, Float64Array
 from slamcli.stages.align.models import Model, sound_samples
 
 _FIRST_HYPOTHESES = 64
-_MOST_HYPOTHESES_AT_ONCE = 512
+_MAX_HYPOTHESES_AT_ONCE = 512
 # Hypotheses times matches scored at once: what fits a processor's cache.
-_MOST_RESIDUALS_AT_ONCE = 200_000
-_MOST_REFITS = 10
-_LEAST_DETERMINANT = 1e-9
+_MAX_RESIDUALS_AT_ONCE = 200_000
+_MAX_REFITS = 10
+_MIN_DETERMINANT = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +85,7 @@ def ransac(
     best, best_rank = None, (model.sample_size, 0.0)
     drawn, needed, chunk = 0, max_iterations, _FIRST_HYPOTHESES
     while drawn < needed:
-        chunk = min(chunk, max(1, _MOST_RESIDUALS_AT_ONCE // count), max_iterations - drawn)
+        chunk = min(chunk, max(1, _MAX_RESIDUALS_AT_ONCE // count), max_iterations - drawn)
         sample = generator.integers(0, count, size=(chunk, model.sample_size))
         drawn += chunk
         hypotheses = _hypotheses(points_a[sample], points_b[sample], limits[sample], model)
@@ -93,7 +93,7 @@ def ransac(
         if candidate is not None and rank > best_rank:
             best, best_rank = candidate, rank
             needed = min(max_iterations, _needed(rank[0] / count, model.sample_size, confidence))
-        chunk = min(2 * chunk, _MOST_HYPOTHESES_AT_ONCE)
+        chunk = min(2 * chunk, _MAX_HYPOTHESES_AT_ONCE)
     if best is None:
         return None
     return _refit(best, points_a, points_b, limits, model, drawn)
@@ -126,7 +126,7 @@ def _hypotheses(
     fitted = model.fit(sample_a[sound], sample_b[sound], np.ones_like(limits[sound]))
     fitted = fitted[np.isfinite(fitted).all(axis=(1, 2))]
     # What maps the plane onto (nearly) a line, or mirrors it, cannot be the floor seen again.
-    return np.asarray(fitted[np.linalg.det(fitted) > _LEAST_DETERMINANT])
+    return np.asarray(fitted[np.linalg.det(fitted) > _MIN_DETERMINANT])
 
 
 def _best(
@@ -167,7 +167,7 @@ def _refit(
     weights = 1.0 / limits**2
     residuals = residuals_of(a_from_b[None], points_a, points_b, model)[0]
     inliers = residuals < limits
-    for _ in range(_MOST_REFITS):
+    for _ in range(_MAX_REFITS):
         fitted = model.fit(points_a[inliers][None], points_b[inliers][None], weights[inliers][None])
         if not np.isfinite(fitted).all():
             return None

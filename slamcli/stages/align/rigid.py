@@ -11,7 +11,7 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.camera import projection
 from slamcli.core.geometry import Pose2
 
-_MOST_ITERATIONS = 20
+_MAX_ITERATIONS = 20
 _CONVERGED_SIGMAS = 1e-3
 # Geman and McClure's scale in sigmas: keeps 97 % of the efficiency of least squares on normal
 # errors, and all but ignores what is five sigmas off.
@@ -72,7 +72,7 @@ def fit_rigid(
     covariance_a = _covariances(points_a, sigmas_a)
     covariance_b = _covariances(points_b, sigmas_b)
     pose = guess
-    for _ in range(_MOST_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         residual, jacobian = _whitened(points_a, points_b, covariance_a, covariance_b, pose)
         length = np.hypot(*residual)
         scale = _scale(length)

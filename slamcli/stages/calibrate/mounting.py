@@ -25,10 +25,10 @@ from slamcli.stages.calibrate.closed_form import (
 )
 
 # Beyond this the height and the pitch are guesses too.
-_MOST_FOCAL_SIGMA_SHARE = 0.25
+_MAX_FOCAL_SIGMA_SHARE = 0.25
 # Nearer to straight down, the direction ahead and the roll are noise.
 _STEEPEST_PITCH_RADIANS = math.radians(89.9)
-_MOST_LOG_HEIGHT = 20.0
+_MAX_LOG_HEIGHT = 20.0
 # A square that fits no better than this many sigmas is told of.
 MISFIT_SIGMAS = 4.0
 
@@ -102,7 +102,7 @@ def solve_mounting(points: FloorPoints, image_size: tuple[int, int]) -> Mounting
         fits.append(_refine(points, matrix, focal_free=True))
     mounting = min(fits, key=lambda fit: fit.misfit_sigmas)
     share = float(mounting.sigmas[0]) / mounting.focal_pixels
-    if not share < _MOST_FOCAL_SIGMA_SHARE:
+    if not share < _MAX_FOCAL_SIGMA_SHARE:
         raise CalibrationError(
             f"this view of the square leaves the focal length open (±{share:.0%}); tilt the camera "
             "less steeply, bring the square nearer, or give --intrinsics camera_info.yaml"
@@ -194,7 +194,7 @@ def _refine(points: FloorPoints, camera_matrix: Float64Array, *, focal_free: boo
             "the camera looks straight down, which leaves the focal length and the direction ahead "
             "open; tilt the camera, or give --intrinsics camera_info.yaml"
         )
-    if abs(roll) > math.pi / 2 or pitch < -math.pi / 2 or abs(height) > _MOST_LOG_HEIGHT:
+    if abs(roll) > math.pi / 2 or pitch < -math.pi / 2 or abs(height) > _MAX_LOG_HEIGHT:
         raise CalibrationError("no camera above the floor sees the corners like this")
     freedom = max(len(solution.fun) - len(solution.x), 1)
     misfit = math.sqrt(float(solution.fun @ solution.fun) / freedom)

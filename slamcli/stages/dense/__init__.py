@@ -1,12 +1,24 @@
 """Two views compared pixel by pixel: searched, refined, and judged."""
 
-from slamcli.stages.dense.agreement import Agreement, agreeing, agreement, overlap, preference
-from slamcli.stages.dense.correlation_search import Candidate, Search, Window, evidence, search
-from slamcli.stages.dense.lucas_kanade import Known, Refinement, refine
-from slamcli.stages.dense.obstacles import Standing, standing
-from slamcli.stages.dense.periodicity import repeats
+from slamcli.stages.dense.agreement import (
+    Agreement,
+    agreement,
+    keep_agreeing_points,
+    overlap,
+    patch_votes,
+)
+from slamcli.stages.dense.correlation_search import (
+    Candidate,
+    Search,
+    SearchWindow,
+    evidence,
+    search,
+)
+from slamcli.stages.dense.lucas_kanade import MotionPrior, PhotometricFit, refine
+from slamcli.stages.dense.obstacles import ObstacleMask, find_obstacles
+from slamcli.stages.dense.periodicity import find_periods
 from slamcli.stages.dense.pyramid import (
-    Stencil,
+    LevelMask,
     levels_from_half,
     make_levels,
     make_stencils,
@@ -16,23 +28,23 @@ from slamcli.stages.dense.pyramid import (
 __all__ = [
     "Agreement",
     "Candidate",
-    "Known",
-    "Refinement",
+    "LevelMask",
+    "MotionPrior",
+    "ObstacleMask",
+    "PhotometricFit",
     "Search",
-    "Standing",
-    "Stencil",
-    "Window",
-    "agreeing",
+    "SearchWindow",
     "agreement",
     "evidence",
+    "find_obstacles",
+    "find_periods",
+    "keep_agreeing_points",
     "levels_from_half",
     "make_levels",
     "make_stencils",
     "overlap",
-    "preference",
+    "patch_votes",
     "refine",
-    "repeats",
     "search",
-    "standing",
     "stencils_from_half",
 ]

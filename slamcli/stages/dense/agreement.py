@@ -11,9 +11,9 @@ import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from slamcli.core.geometry import Pose2, apply_homography, invert
-from slamcli.core.records import DenseLevel, View
+from slamcli.core.records import PyramidLevel, View
 
-_LEAST_SHARED_PIXELS = 200
+_MIN_SHARED_PIXELS = 200
 _OVERLAP_STEP = 16
 # Patches tell something when they vary by more than a camera's noise does at half resolution: what
 # the warp and the halving leave of it has a third of the frame's own variance at most, and a patch
@@ -21,7 +21,7 @@ _OVERLAP_STEP = 16
 _PATCH_PIXELS = 16
 _TELLING_GRAY = 3.0
 _TELLING_NOISE_SHARE = 0.7
-_LEAST_PATCHES = 12
+_MIN_PATCHES = 12
 _PATCH_CORRELATION = 0.5
 # Two motions are compared at a quarter of the resolution, where noise and what a view farther away
 # blurs differ little: by so much better must a patch agree under one motion to speak for it, and so
@@ -66,24 +66,24 @@ def overlap(view_a: View, view_b: View, a_from_b: Pose2) -> float:
     return shared / max(1, len(points_b))
 
 
-def agreement(a: DenseLevel, b: DenseLevel, view_a_from_view_b: Float64Array) -> Agreement:
+def agreement(a: PyramidLevel, b: PyramidLevel, view_a_from_view_b: Float64Array) -> Agreement:
     """Correlate the overlap of two views, at one level of their pyramids.
 
     Parameters
     ----------
-    a, b : DenseLevel
+    a, b : PyramidLevel
     view_a_from_view_b : (3, 3) float64
-        Metres to metres: a motion, or a `Refinement`'s.
+        Metres to metres: a motion, or a `PhotometricFit`'s.
     """
     moved, both = _laid_over(a, b, view_a_from_view_b)
     smaller = int(min(np.count_nonzero(a.mask == 255), np.count_nonzero(b.mask == 255)))
     shared = int(np.count_nonzero(both))
-    if shared < _LEAST_SHARED_PIXELS:
+    if shared < _MIN_SHARED_PIXELS:
         return Agreement(math.nan, shared / max(1, smaller), math.nan)
     correlation = _correlation(a.image, moved, both)
     patches, telling = _patch_correlations(a.image, moved, both, _PATCH_PIXELS, _telling_gray(a, b))
     confirmed = math.nan
-    if np.count_nonzero(telling) >= _LEAST_PATCHES:
+    if np.count_nonzero(telling) >= _MIN_PATCHES:
         agree = patches > _PATCH_CORRELATION
         confirmed = float(np.mean(agree[telling]))
     return Agreement(correlation, shared / smaller, confirmed)
@@ -106,9 +106,9 @@ def _correlation(first: UInt8Array, second: UInt8Array, both: BoolArray) -> floa
     return float((product - total_a * total_b / count) / math.sqrt(energy_a * energy_b))
 
 
-def preference(
-    a: DenseLevel,
-    b: DenseLevel,
+def patch_votes(
+    a: PyramidLevel,
+    b: PyramidLevel,
     view_a_from_view_b: Float64Array,
     rival: Float64Array,
 ) -> tuple[float, float]:
@@ -120,7 +120,7 @@ def preference(
 
     Parameters
     ----------
-    a, b : DenseLevel
+    a, b : PyramidLevel
         The second of each pyramid.
     view_a_from_view_b, rival : (3, 3) float64
     """
@@ -130,25 +130,25 @@ def preference(
     second, also = _patch_correlations(a.image, *_laid_over(a, b, rival), side, least)
     both = telling & also
     count = np.count_nonzero(both)
-    if count < _LEAST_PATCHES:
+    if count < _MIN_PATCHES:
         return math.nan, math.nan
     pro = both & (first > np.maximum(second + _BETTER, _WELL)) & (second > _PATCH_CORRELATION)
     contra = both & (second > np.maximum(first + _BETTER, _WELL))
     return float(np.count_nonzero(pro) / count), float(np.count_nonzero(contra) / count)
 
 
-def agreeing(
-    levels_a: Sequence[DenseLevel], b: DenseLevel, view_a_from_view_b: Float64Array
-) -> tuple[DenseLevel, ...]:
+def keep_agreeing_points(
+    levels_a: Sequence[PyramidLevel], b: PyramidLevel, view_a_from_view_b: Float64Array
+) -> tuple[PyramidLevel, ...]:
     """Return levels of view a with those points alone that lie in patches which agree with b.
 
     What stands or walks on the floor has no say then.
 
     Parameters
     ----------
-    levels_a : sequence of DenseLevel
+    levels_a : sequence of PyramidLevel
         From fine to coarse.
-    b : DenseLevel
+    b : PyramidLevel
         The finest of the other view.
     view_a_from_view_b : (3, 3) float64
     """
@@ -179,7 +179,7 @@ def agreeing(
 
 
 def _laid_over(
-    a: DenseLevel, b: DenseLevel, view_a_from_view_b: Float64Array
+    a: PyramidLevel, b: PyramidLevel, view_a_from_view_b: Float64Array
 ) -> tuple[UInt8Array, BoolArray]:
     """Return b's picture as a sees it, and where both see the floor."""
     b_from_a_pixel = invert(view_a_from_view_b) @ invert(a.pixel_from_metres)
@@ -191,7 +191,7 @@ def _laid_over(
     return np.asarray(moved, np.uint8), (np.asarray(seen) == 255) & (a.mask == 255)
 
 
-def _telling_gray(a: DenseLevel, b: DenseLevel, noise_share: float = 1.0) -> float:
+def _telling_gray(a: PyramidLevel, b: PyramidLevel, noise_share: float = 1.0) -> float:
     """Return by how much a patch must vary to tell something, where so much noise is left."""
     noise_gray = noise_share * max(a.frame_noise_gray, b.frame_noise_gray)
     return max(_TELLING_GRAY, _TELLING_NOISE_SHARE * noise_gray)

@@ -15,7 +15,7 @@ from scipy import fft
 
 from slamcli.core.arrays import BoolArray, Complex64Array, Float32Array, Float64Array, Int64Array
 from slamcli.core.geometry import Pose2, apply_homography, invert
-from slamcli.core.records import DenseLevel
+from slamcli.core.records import PyramidLevel
 
 _STEP_RADIANS = math.radians(4.0)
 # An overlap in which hardly anything is to be seen correlates by chance: this share of the whole
@@ -23,14 +23,14 @@ _STEP_RADIANS = math.radians(4.0)
 _SEARCH_CONTRAST_PRIOR = 0.1
 _CONTRAST_PRIOR = 0.02
 _HIGHEST_CORRELATION = 0.999
-_LEAST_PIXELS = 64.0
+_MIN_PIXELS = 64.0
 # Peaks nearer than this to a higher one belong to it.
 _PEAK_PIXELS = 4
 _PEAK_STEPS = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class SearchWindow:
     """Where to search.
 
     Attributes
@@ -48,7 +48,7 @@ class Window:
     centre: Pose2 = field(default_factory=Pose2)
     angle_radians: float = math.radians(40.0)
     radius_metres: float = math.inf
-    way_metres: float = math.inf
+    max_displacement_metres: float = math.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,15 +92,15 @@ class Search:
 
 
 def search(
-    a: DenseLevel, b: DenseLevel, window: Window, *, min_overlap: float, count: int = 6
+    a: PyramidLevel, b: PyramidLevel, window: SearchWindow, *, min_overlap: float, count: int = 6
 ) -> Search:
     """Return the motions that best lay view b on view a.
 
     Parameters
     ----------
-    a, b : DenseLevel
+    a, b : PyramidLevel
         The coarsest levels of two views of one grid.
-    window : Window
+    window : SearchWindow
     min_overlap : float
         Least share of the smaller view that both must see.
     count : int
@@ -109,7 +109,7 @@ def search(
     values_a, weight_a = a.normalised, a.weight
     values_b, weight_b = b.normalised, b.weight
     seen = float(min(cv2.countNonZero(a.inside), cv2.countNonZero(b.inside)))
-    least = max(min_overlap * seen, _LEAST_PIXELS)
+    least = max(min_overlap * seen, _MIN_PIXELS)
     middle = _middle_of(weight_b)
     height, width = values_a.shape
     shape = (
@@ -142,7 +142,7 @@ def search(
     return Search(tuple(found), np.asarray(surface, np.float32), a.metres_per_pixel)
 
 
-def autocorrelation(level: DenseLevel) -> tuple[Float32Array, Float32Array]:
+def autocorrelation(level: PyramidLevel) -> tuple[Float32Array, Float32Array]:
     """Return how a view correlates with itself, shifted, and which share of it both then see.
 
     Two pictures of equal shape, no shift in their middle, pixel (rows // 2, columns // 2).
@@ -161,16 +161,16 @@ def autocorrelation(level: DenseLevel) -> tuple[Float32Array, Float32Array]:
 
 
 def evidence(
-    a: DenseLevel, b: DenseLevel, a_from_b: Pose2, view_a_from_view_b: Float64Array
+    a: PyramidLevel, b: PyramidLevel, a_from_b: Pose2, view_a_from_view_b: Float64Array
 ) -> Candidate:
     """Return how the pixels of two views speak for one motion.
 
     Parameters
     ----------
-    a, b : DenseLevel
+    a, b : PyramidLevel
     a_from_b : Pose2
     view_a_from_view_b : (3, 3) float64
-        Metres to metres: that motion, or a `Refinement`'s.
+        Metres to metres: that motion, or a `PhotometricFit`'s.
     """
     b_from_a_pixel = invert(view_a_from_view_b) @ invert(a.pixel_from_metres)
     mapping = b.pixel_from_metres @ b_from_a_pixel
@@ -180,7 +180,7 @@ def evidence(
     weight = cv2.multiply(cv2.warpPerspective(b.weight, mapping, size, flags=flags), a.weight)
     pixels = _total(weight)
     seen = float(min(cv2.countNonZero(a.inside), cv2.countNonZero(b.inside)))
-    if pixels < _LEAST_PIXELS:
+    if pixels < _MIN_PIXELS:
         return Candidate(a_from_b, 0.0, pixels / max(seen, 1.0), 0.0)
     weighted_a, weighted_b = cv2.multiply(weight, a.normalised), cv2.multiply(weight, moved)
     product = _total(cv2.multiply(weighted_a, moved))
@@ -240,7 +240,7 @@ def _evidence(correlation: float | Float32Array, pixels: float | Float32Array) -
 
 
 def _allowed(
-    a: DenseLevel, window: Window, middle: tuple[float, float], shape: tuple[int, int]
+    a: PyramidLevel, window: SearchWindow, middle: tuple[float, float], shape: tuple[int, int]
 ) -> BoolArray:
     """Return which translations of the middle of b's view lie within the window."""
     if math.isinf(window.radius_metres):
@@ -254,16 +254,18 @@ def _allowed(
 
 
 def _too_far(
-    a: DenseLevel, rotation: Float64Array, window: Window, shape: tuple[int, int]
+    a: PyramidLevel, rotation: Float64Array, window: SearchWindow, shape: tuple[int, int]
 ) -> BoolArray:
     """Return which translations of a turned picture take the robot farther than its way."""
-    if math.isinf(window.way_metres):
+    if math.isinf(window.max_displacement_metres):
         return np.zeros(shape, np.bool_)
     robot = a.pixel_from_metres[:2, 2]
     column, row = rotation @ (*robot, 1.0) - robot
     rows = _signed(np.arange(shape[0]), shape[0])[:, None] + row
     columns = _signed(np.arange(shape[1]), shape[1])[None, :] + column
-    beyond: BoolArray = np.hypot(rows, columns) > window.way_metres / a.metres_per_pixel
+    beyond: BoolArray = (
+        np.hypot(rows, columns) > window.max_displacement_metres / a.metres_per_pixel
+    )
     return beyond
 
 
@@ -289,7 +291,7 @@ def _peaks(evidence_of: Float64Array, count: int) -> list[tuple[int, int, int]]:
 
 
 def _pose(
-    a: DenseLevel,
+    a: PyramidLevel,
     rotation: Float64Array,
     row: int,
     column: int,

@@ -8,10 +8,10 @@ import numpy as np
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.geometry import Pose2, invert
-from slamcli.core.records import DenseLevel
+from slamcli.core.records import PyramidLevel
 from slamcli.stages.dense import pyramid
 
-_LEAST_INFORMATION = 1e-8
+_MIN_INFORMATION = 1e-8
 _CHANCE_SIGMAS = 2.0
 # The stairs of a line's edge in the camera's pixels, and the blocks of a JPEG, move with the camera
 # and not with the floor: such a share of an edge's gradient along it tells nothing.
@@ -19,7 +19,7 @@ _STAIRS = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
+class FitState:
     """The motion, and what pitch, roll and height differ by in either frame; (0,) where unknown."""
 
     a_from_b: Pose2
@@ -28,12 +28,12 @@ class State:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solved:
+class NormalEquations:
     """The last step on a level, and what it was made from.
 
     Attributes
     ----------
-    state : State
+    state : FitState
     jacobian : (N, K) float64
     pixels, points : (N, 2) float64
         In b's level and on its floor.
@@ -42,7 +42,7 @@ class Solved:
     prior : (K, K) float64
     """
 
-    state: State
+    state: FitState
     jacobian: Float64Array
     pixels: Float64Array
     points: Float64Array
@@ -51,7 +51,7 @@ class Solved:
     prior: Float64Array
 
 
-def covariance_of(b: DenseLevel, solved: Solved) -> Float64Array | None:
+def covariance_of(b: PyramidLevel, solved: NormalEquations) -> Float64Array | None:
     """Return the covariance (3, 3) of the motion, from what both views show of the gradients.
 
     The noise of one view has gradients too, which would pass for knowledge of a motion along a
@@ -87,7 +87,7 @@ def covariance_of(b: DenseLevel, solved: Solved) -> Float64Array | None:
     chance = np.maximum(_CHANCE_SIGMAS * chance, _STAIRS)
     seen = (vectors * np.maximum(values - chance, 0.0)) @ vectors.T
     information = (
-        seen + central.T @ solved.prior @ central * scales + _LEAST_INFORMATION * np.eye(len(seen))
+        seen + central.T @ solved.prior @ central * scales + _MIN_INFORMATION * np.eye(len(seen))
     )
     covariance = invert(information) * scales
     return np.asarray((central @ covariance @ central.T)[:3, :3], np.float64)

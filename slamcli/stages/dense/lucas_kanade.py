@@ -17,42 +17,42 @@ import numpy as np
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Pose2, apply_homography, invert
-from slamcli.core.records import DenseLevel
+from slamcli.core.records import PyramidLevel
 from slamcli.stages.dense import pyramid, rocking
-from slamcli.stages.dense.covariance import Solved, State, covariance_of
+from slamcli.stages.dense.covariance import FitState, NormalEquations, covariance_of
 
-_MOST_ITERATIONS = 12
+_MAX_ITERATIONS = 12
 # A step so small leaves next to nothing to the next one. From where a sample of the points has led
 # all of them end with one step, which may be larger: what it leaves is a small share of it.
 _CONVERGED_PIXELS, _FINISHING_PIXELS = 0.003, 0.03
-_LEAST_TEMPLATE_PIXELS = 200
+_MIN_TEMPLATE_PIXELS = 200
 _SAMPLE_POINTS = 4000
 _HUBER_SIGMAS = 1.5
 # On a floor of plain lines nearly every pixel fits while a line's end, which alone tells how far
 # the robot went along it, does not: it must not pass for an outlier. Noise is taken to be at least
 # this share of the contrast.
-_LEAST_NOISE_SHARE = 0.2
-_LEAST_LEFT_SHARE = 0.03
+_MIN_NOISE_SHARE = 0.2
+_MIN_LEFT_SHARE = 0.03
 # Neighbouring residuals are not independent: interpolation and blur tie about this many together.
 _CORRELATED_PIXELS = 24.0
 _SYSTEMATIC_PIXELS = 0.02
 # Rocking is suspected where it would make the weighted squares fall by so much, and move a point
 # at the far end by so many pixels. Over plain lines a steady camera reaches either now and then.
-_LEAST_GAIN = 20.0
-_LEAST_CHANGE_PIXELS = 0.25
+_MIN_GAIN = 20.0
+_MIN_CHANGE_PIXELS = 0.25
 # Pitch, roll and height of two frames that rock as expected make about six; what they have in
 # common hardly shows, and stays at nothing.
-_MOST_STRAIN = 6.0
+_MAX_STRAIN = 6.0
 # A refinement that runs away from the fit that it started at, by so many pixels of the coarsest
 # level, has found something else. From a search, whose rotations are steps apart, a motion that
 # turns by no more than half a step may shift by such a share of what is seen.
-_MOST_SHIFT_PIXELS = 6.0
-_MOST_SHIFT_SHARE = 0.12
-_MOST_TURN_RADIANS = math.radians(2.0)
+_MAX_SHIFT_PIXELS = 6.0
+_MAX_SHIFT_SHARE = 0.12
+_MAX_TURN_RADIANS = math.radians(2.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Refinement:
+class PhotometricFit:
     """A refined motion.
 
     Attributes
@@ -78,7 +78,7 @@ class Refinement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Known:
+class MotionPrior:
     """What is known of a motion beforehand.
 
     Attributes
@@ -93,43 +93,43 @@ class Known:
 
 
 def refine(
-    levels_a: Sequence[DenseLevel],
-    levels_b: Sequence[DenseLevel],
+    levels_a: Sequence[PyramidLevel],
+    levels_b: Sequence[PyramidLevel],
     a_from_b: Pose2,
     calibration: Calibration,
     tilt_sigma_radians: float,
-    known: Known | None = None,
+    known: MotionPrior | None = None,
     *,
     searched: bool = False,
-    rocked: Refinement | None = None,
+    rocked: PhotometricFit | None = None,
     suspected_tilt_radians: float = 0.0,
-) -> Refinement | None:
+) -> PhotometricFit | None:
     """Refine a motion on the pixels of two views; None when they do not determine it.
 
     Parameters
     ----------
-    levels_a, levels_b : sequence of DenseLevel
+    levels_a, levels_b : sequence of PyramidLevel
         From `make_levels`, of views of one resolution, from fine to coarse.
     a_from_b : Pose2
         A start within a few pixels of the truth on the coarsest of them.
     tilt_sigma_radians : float
         By how much the camera's pitch and roll vary from frame to frame.
-    known : Known or None
-        Weighed with what the pixels say.
+    known : MotionPrior or None
+        OptimizedComponent with what the pixels say.
     searched : bool
         Whether the start is a peak of a `search`, which may lie farther from the truth.
-    rocked : Refinement or None
+    rocked : PhotometricFit or None
         By other pixels or a narrower sigma: what it found of the rocking is where to start.
     suspected_tilt_radians : float
         By how much the camera may rock where it is taken to be steady: whether it does is told.
     """
     sigmas = rocking.mounting_sigmas(calibration, tilt_sigma_radians)
-    state = State(a_from_b, np.zeros(len(sigmas)), np.zeros(len(sigmas)))
+    state = FitState(a_from_b, np.zeros(len(sigmas)), np.zeros(len(sigmas)))
     if rocked is not None:
-        state = State(a_from_b, rocked.mounting_a, rocked.mounting_b)
-    solved: Solved | None = None
+        state = FitState(a_from_b, rocked.mounting_a, rocked.mounting_b)
+    solved: NormalEquations | None = None
     for level_a, level_b in zip(reversed(levels_a), reversed(levels_b), strict=True):
-        if len(level_a.points) < _LEAST_TEMPLATE_PIXELS:
+        if len(level_a.points) < _MIN_TEMPLATE_PIXELS:
             return None
         # A sample of the points brings the motion to where all of them finish it in a step or two.
         samples = [_sampled(level_a)] if len(level_a.points) > _SAMPLE_POINTS else []
@@ -152,7 +152,7 @@ def refine(
     covariance = covariance + _systematic(levels_a[0])
     shown_a = rocking.shown_from_floor(calibration, state.mounting_a)
     shown_b = rocking.shown_from_floor(calibration, state.mounting_b)
-    return Refinement(
+    return PhotometricFit(
         state.a_from_b,
         covariance,
         shown_a @ state.a_from_b.matrix @ invert(shown_b),
@@ -163,14 +163,14 @@ def refine(
     )
 
 
-def _strained(state: State, sigmas: Float64Array) -> bool:
+def _strained(state: FitState, sigmas: Float64Array) -> bool:
     """Return whether the rocking that was found is more than its sigmas let one expect."""
     found = np.concatenate([state.mounting_a, state.mounting_b])
-    return float(np.sum((found / np.tile(sigmas, 2)) ** 2)) > _MOST_STRAIN
+    return float(np.sum((found / np.tile(sigmas, 2)) ** 2)) > _MAX_STRAIN
 
 
 def _rocks(
-    b: DenseLevel, solved: Solved, calibration: Calibration, tilt_sigma_radians: float
+    b: PyramidLevel, solved: NormalEquations, calibration: Calibration, tilt_sigma_radians: float
 ) -> bool:
     """Return whether rocking would explain much that a steady camera's motion leaves over.
 
@@ -206,29 +206,29 @@ def _rocks(
     gain = float(pull @ step - pull[:count] @ alone)
     change = step[:3] - alone[:3]
     moved = math.hypot(change[0], change[1]) + abs(change[2]) * float(np.abs(points_b).max())
-    return bool(gain > _LEAST_GAIN and moved > _LEAST_CHANGE_PIXELS * b.metres_per_pixel)
+    return bool(gain > _MIN_GAIN and moved > _MIN_CHANGE_PIXELS * b.metres_per_pixel)
 
 
-def _ran_away(moved: Pose2, levels_a: Sequence[DenseLevel], *, searched: bool) -> bool:
-    most = _MOST_SHIFT_PIXELS * levels_a[-1].metres_per_pixel
-    if searched and abs(moved.theta) <= _MOST_TURN_RADIANS:
-        most = max(most, _MOST_SHIFT_SHARE * _reach(levels_a[0]))
+def _ran_away(moved: Pose2, levels_a: Sequence[PyramidLevel], *, searched: bool) -> bool:
+    most = _MAX_SHIFT_PIXELS * levels_a[-1].metres_per_pixel
+    if searched and abs(moved.theta) <= _MAX_TURN_RADIANS:
+        most = max(most, _MAX_SHIFT_SHARE * _reach(levels_a[0]))
     return moved.translation_length > most
 
 
-def _systematic(finest: DenseLevel) -> Float64Array:
+def _systematic(finest: PyramidLevel) -> Float64Array:
     """Return the (3, 3) covariance of what no residual shows: interpolation, blur, smear."""
     sigma = _SYSTEMATIC_PIXELS * finest.metres_per_pixel
     return np.diag([sigma**2, sigma**2, (sigma / _reach(finest)) ** 2])
 
 
-def _reach(level: DenseLevel) -> float:
+def _reach(level: PyramidLevel) -> float:
     """Return half of how far what a level shows is spread, metres."""
     # A column at a time: numpy is slow along an axis so short.
     return math.hypot(*(float(np.ptp(column)) for column in level.points.T)) / 2.0
 
 
-def _sampled(level: DenseLevel) -> DenseLevel:
+def _sampled(level: PyramidLevel) -> PyramidLevel:
     """Return a level with some of its points, evenly taken."""
     step = -(-len(level.points) // _SAMPLE_POINTS)
     return replace(
@@ -240,14 +240,14 @@ def _sampled(level: DenseLevel) -> DenseLevel:
 
 
 def _refine_level(
-    a: DenseLevel,
-    b: DenseLevel,
-    state: State,
+    a: PyramidLevel,
+    b: PyramidLevel,
+    state: FitState,
     calibration: Calibration,
     sigmas: Float64Array,
-    known: Known | None,
-    least_pixels: float,
-) -> Solved | None:
+    known: MotionPrior | None,
+    min_pixels: float,
+) -> NormalEquations | None:
     """Return the state refined on one level until a step moves it by less than `least_pixels`.
 
     None when the level does not determine it.
@@ -258,7 +258,7 @@ def _refine_level(
     prior = np.diag(np.concatenate([np.zeros(5), np.ones(2 * count)]))
     if known is not None:
         prior[:3, :3] = invert(known.covariance)
-    for _ in range(_MOST_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         floor_from_shown_a = invert(rocking.shown_from_floor(calibration, state.mounting_a))
         floor_b = apply_homography(state.a_from_b.inverse().matrix @ floor_from_shown_a, a.points)
         pixel_from_floor_b = b.pixel_from_metres @ rocking.shown_from_floor(
@@ -266,7 +266,7 @@ def _refine_level(
         )
         pixels_b = apply_homography(pixel_from_floor_b, floor_b)
         seen = np.flatnonzero(pyramid.sample(b.inside, pixels_b) > 254.5)
-        if len(seen) < _LEAST_TEMPLATE_PIXELS:
+        if len(seen) < _MIN_TEMPLATE_PIXELS:
             return None
         # Numpy takes so, and from rows, several times as fast as it indexes.
         points = np.take(floor_b.T, seen, axis=1).T
@@ -288,28 +288,28 @@ def _refine_level(
         residual = pyramid.sample(b.detail, pixels) - values
         off = _off_prior(state, sigmas, known)
         contrast = float(values.std())
-        solved = _solve(jacobian, residual, prior, off, _LEAST_NOISE_SHARE * contrast)
+        solved = _solve(jacobian, residual, prior, off, _MIN_NOISE_SHARE * contrast)
         if solved is None:
             return None
         step, weight = solved
-        state = State(
+        state = FitState(
             state.a_from_b @ Pose2(float(step[0]), float(step[1]), float(step[2])),
             state.mounting_a + step[5 : 5 + count] * sigmas,
             state.mounting_b + step[5 + count :] * sigmas,
         )
         reach = float(np.abs(points).max())
         moved = math.hypot(step[0], step[1]) + abs(step[2]) * reach
-        if moved < least_pixels * b.metres_per_pixel:
+        if moved < min_pixels * b.metres_per_pixel:
             break
     # What is left over tells how well the motion is known; the least noise is for outliers alone.
     share = weight / weight.max()
     left = math.sqrt(float(np.sum(share * residual**2) / np.sum(share)))
-    noise = max(left, _LEAST_LEFT_SHARE * contrast, 1e-6)
+    noise = max(left, _MIN_LEFT_SHARE * contrast, 1e-6)
     weight = share / (noise**2 * _CORRELATED_PIXELS)
-    return Solved(state, jacobian, pixels, points, residual, weight, prior)
+    return NormalEquations(state, jacobian, pixels, points, residual, weight, prior)
 
 
-def _off_prior(state: State, sigmas: Float64Array, known: Known | None) -> Float64Array:
+def _off_prior(state: FitState, sigmas: Float64Array, known: MotionPrior | None) -> Float64Array:
     """Return (5 + 2 n,): by how much a state is off what is known beforehand."""
     off = np.zeros(5 + 2 * len(sigmas))
     if known is not None:
@@ -325,7 +325,7 @@ def _solve(
     residual: Float64Array,
     prior: Float64Array,
     off: Float64Array,
-    least_noise: float,
+    min_noise: float,
 ) -> tuple[Float64Array, Float64Array] | None:
     """Return one robust Gauss-Newton step (K,) and the weight (N,) of each residual.
 
@@ -341,7 +341,7 @@ def _solve(
         Of a residual, one standard deviation.
     """
     spread = 1.4826 * _median(np.abs(residual - _median(residual)))
-    noise = max(spread, least_noise, 1e-6)
+    noise = max(spread, min_noise, 1e-6)
     weight = np.minimum(1.0, _HUBER_SIGMAS * noise / np.maximum(np.abs(residual), 1e-12))
     weight /= noise**2 * _CORRELATED_PIXELS
     weighted = jacobian * weight[:, None]

@@ -17,7 +17,7 @@ from slamcli.core.arrays import BoolArray, Float32Array, Float64Array
 from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import apply_homography, invert
-from slamcli.core.records import DenseLevel
+from slamcli.core.records import PyramidLevel
 from slamcli.stages.dense import pyramid
 
 # Side of a cell, in pixels of the finest level.
@@ -37,7 +37,7 @@ _COARSER = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Standing:
+class ObstacleMask:
     """Cells of one view that were compared with another.
 
     Attributes
@@ -63,20 +63,20 @@ class Standing:
         return np.asarray(marked)
 
 
-def standing(
-    levels_a: Sequence[DenseLevel],
-    levels_b: Sequence[DenseLevel],
+def find_obstacles(
+    levels_a: Sequence[PyramidLevel],
+    levels_b: Sequence[PyramidLevel],
     view_a_from_view_b: Float64Array,
     calibration: Calibration,
-) -> Standing:
+) -> ObstacleMask:
     """Mark the cells of view a where view b shows something else.
 
     Parameters
     ----------
-    levels_a, levels_b : sequence of DenseLevel
+    levels_a, levels_b : sequence of PyramidLevel
         From `make_levels`, of views of one resolution.
     view_a_from_view_b : (3, 3) float64
-        Metres to metres, of the floor: a motion, or a `Refinement`'s.
+        Metres to metres, of the floor: a motion, or a `PhotometricFit`'s.
     calibration : Calibration
         Of the camera that took both: what it resolves where.
     """
@@ -108,7 +108,7 @@ def standing(
         at_row = np.clip(at_row.astype(np.int64), 0, share.shape[0] - 1)
         judged[here] = telling[at_row, at_column]
         unlike[here] = judged[here] & (share[at_row, at_column] > _UNLIKE_SHARE)
-    return Standing(
+    return ObstacleMask(
         invert(metres_from_cell),
         judged.reshape(rows, columns),
         _in_company(unlike.reshape(rows, columns)),
@@ -129,7 +129,7 @@ def _resolved(calibration: Calibration, points: Float64Array) -> Float64Array:
 
 
 def _compare(
-    a: DenseLevel, b: DenseLevel, view_a_from_view_b: Float64Array
+    a: PyramidLevel, b: PyramidLevel, view_a_from_view_b: Float64Array
 ) -> tuple[BoolArray, Float32Array]:
     """Return which windows of a level tell something, and what share of it differs, at its best.
 
@@ -160,13 +160,13 @@ def _compare(
     dark = np.asarray(
         cv2.warpPerspective(b.image, b_pixel_from_a_pixel, size, flags=flags), np.uint8
     )
-    raised = _mean(pyramid.gain(a.image) ** 2), _mean(pyramid.gain(dark) ** 2)
+    raised = _mean(pyramid.noise_gain(a.image) ** 2), _mean(pyramid.noise_gain(dark) ** 2)
     # Most of what both see is floor, where what is left is noise.
     noise = float(np.median((left / (raised[0] + raised[1]))[whole])) if whole.any() else 0.0
     telling = np.zeros_like(whole)
     for shown, times in ((first, raised[0]), (moved * both, raised[1])):
-        least_shown = np.maximum(_TELLING_NOISES * noise * times, np.float32(_TELLING_GRAY**2))
-        telling |= _variance(shown) > least_shown
+        min_shown = np.maximum(_TELLING_NOISES * noise * times, np.float32(_TELLING_GRAY**2))
+        telling |= _variance(shown) > min_shown
     return np.asarray(whole & telling), least
 
 

@@ -6,18 +6,18 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.records import DenseLevel
+from slamcli.core.records import PyramidLevel
 from slamcli.stages.dense.correlation_search import autocorrelation
 
-_LEAST_CORRELATION = 0.7
-_LEAST_OVERLAP = 0.3
+_MIN_CORRELATION = 0.7
+_MIN_OVERLAP = 0.3
 # Within so many pixels of no shift at all everything looks like itself.
 _OWN_PEAK_PIXELS = 5
-_MOST_SHIFTS = 3
+_MAX_SHIFTS = 3
 _AROUND = np.ones((5, 5), np.uint8)
 
 
-def repeats(level: DenseLevel) -> Float64Array:
+def find_periods(level: PyramidLevel) -> Float64Array:
     """Return (K, 2) shifts, metres in the robot's axes, by which a view looks like itself.
 
     The shortest, to a pixel of the level; one of each pair of opposite ones. None on a floor that
@@ -26,12 +26,12 @@ def repeats(level: DenseLevel) -> Float64Array:
     correlation, shared = autocorrelation(level)
     rows, columns = correlation.shape
     far = np.hypot(np.arange(rows)[:, None] - rows // 2, np.arange(columns)[None, :] - columns // 2)
-    usable = (shared >= _LEAST_OVERLAP) & (far > _OWN_PEAK_PIXELS)
+    usable = (shared >= _MIN_OVERLAP) & (far > _OWN_PEAK_PIXELS)
     usable[: rows // 2] = False
     peaks = (correlation == cv2.dilate(correlation, _AROUND)) & usable
-    peaks &= correlation >= _LEAST_CORRELATION
+    peaks &= correlation >= _MIN_CORRELATION
     found = np.argwhere(peaks)
-    shortest = np.argsort(far[peaks], kind="stable")[:_MOST_SHIFTS]
+    shortest = np.argsort(far[peaks], kind="stable")[:_MAX_SHIFTS]
     pixels = found[shortest] - (rows // 2, columns // 2)
     shifts: Float64Array = level.metres_per_pixel * np.column_stack([pixels[:, 1], -pixels[:, 0]])
     return shifts

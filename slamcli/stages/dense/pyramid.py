@@ -10,22 +10,22 @@ import numpy as np
 
 from slamcli.core.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
 from slamcli.core.geometry import Grid, apply_homography, invert
-from slamcli.core.records import DenseLevel, View
+from slamcli.core.records import PyramidLevel, View
 
 # From half the view's resolution on, which already resolves hundredths of a pixel, down to where a
 # search over every rotation and translation costs some tens of milliseconds.
-_LEAST_LEVELS = 2
-_MOST_LEVELS = 6
-_MOST_COARSEST_PIXELS = 20_000
-_MOST_TEMPLATE_PIXELS = 15_000
+_MIN_LEVELS = 2
+_MAX_LEVELS = 6
+_MAX_COARSEST_PIXELS = 20_000
+_MAX_TEMPLATE_PIXELS = 15_000
 _HIGH_PASS_SIZE = (25, 25)
-_LEAST_WINDOW_SHARE = 0.7
+_MIN_WINDOW_SHARE = 0.7
 _SAMPLE_STEP = 16
 _NOISE_KERNEL = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 _CONTRAST_PIXELS = 5.0
 # What is flatter than this is noise; its contrast is not to be raised to that of a line. It is not
 # measured by the picture's own contrast, which may be that of a dark thing on a pale floor.
-_LEAST_CONTRAST_GRAY = 1.0
+_MIN_CONTRAST_GRAY = 1.0
 _NOISE_TIMES = 3.0
 # White noise, halved once and smoothed as the detail is, leaves its deviation over 1.57; the median
 # of its size is 0.6745 deviations. Halving it again leaves 0.48 of it.
@@ -41,7 +41,7 @@ _LOGARITHM = ((128.0 + _DARK_GRAY) * np.log(np.arange(256) + _DARK_GRAY)).astype
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stencil:
+class LevelMask:
     """What a level of every view needs to know of where floor is seen; the same for all frames.
 
     Attributes
@@ -68,12 +68,14 @@ class Stencil:
     near: Float32Array
 
 
-def make_stencils(mask: UInt8Array) -> tuple[Stencil, ...]:
+def make_stencils(mask: UInt8Array) -> tuple[LevelMask, ...]:
     """Return the stencils of all levels of views that see floor where (h, w) `mask` is 255."""
     return stencils_from_half(_halved(mask))
 
 
-def make_levels(view: View, stencils: Sequence[Stencil] | None = None) -> tuple[DenseLevel, ...]:
+def make_levels(
+    view: View, stencils: Sequence[LevelMask] | None = None
+) -> tuple[PyramidLevel, ...]:
     """Return a gray view's pyramid, from half resolution on, with what tells most at each level.
 
     The last level is small enough to be searched whole.
@@ -81,7 +83,7 @@ def make_levels(view: View, stencils: Sequence[Stencil] | None = None) -> tuple[
     Parameters
     ----------
     view : View
-    stencils : sequence of Stencil or None
+    stencils : sequence of LevelMask or None
         From `make_stencils` of the view's mask, where they are at hand.
     """
     if stencils is None:
@@ -90,14 +92,14 @@ def make_levels(view: View, stencils: Sequence[Stencil] | None = None) -> tuple[
 
 
 def levels_from_half(
-    image: UInt8Array, stencils: Sequence[Stencil], grid: Grid
-) -> tuple[DenseLevel, ...]:
+    image: UInt8Array, stencils: Sequence[LevelMask], grid: Grid
+) -> tuple[PyramidLevel, ...]:
     """Return the pyramid of a view of which only its first level, at half resolution, is kept.
 
     Parameters
     ----------
     image : (h, w) uint8
-    stencils : sequence of Stencil
+    stencils : sequence of LevelMask
         From `stencils_from_half`.
     grid : Grid
         Of the whole view.
@@ -106,9 +108,9 @@ def levels_from_half(
 
 
 def _levels(
-    image: UInt8Array, stencils: Sequence[Stencil], grid: Grid, frame_noise_gray: float
-) -> tuple[DenseLevel, ...]:
-    levels: list[DenseLevel] = []
+    image: UInt8Array, stencils: Sequence[LevelMask], grid: Grid, frame_noise_gray: float
+) -> tuple[PyramidLevel, ...]:
+    levels: list[PyramidLevel] = []
     pixel_from_metres, metres_per_pixel = grid.pixel_from_metres, grid.metres_per_pixel
     for stencil in stencils:
         pixel_from_metres, metres_per_pixel = _HALVE @ pixel_from_metres, 2.0 * metres_per_pixel
@@ -123,28 +125,28 @@ def _levels(
     return tuple(levels)
 
 
-def stencils_from_half(mask: UInt8Array) -> tuple[Stencil, ...]:
+def stencils_from_half(mask: UInt8Array) -> tuple[LevelMask, ...]:
     """Return the stencils of all levels, by the mask (h, w) of the first."""
     stencils = [_stencil(mask)]
-    while len(stencils) < _MOST_LEVELS and (
-        len(stencils) < _LEAST_LEVELS or np.count_nonzero(mask == 255) > _MOST_COARSEST_PIXELS
+    while len(stencils) < _MAX_LEVELS and (
+        len(stencils) < _MIN_LEVELS or np.count_nonzero(mask == 255) > _MAX_COARSEST_PIXELS
     ):
         mask = _halved(mask)
         stencils.append(_stencil(mask))
     return tuple(stencils)
 
 
-def _stencil(mask: UInt8Array) -> Stencil:
+def _stencil(mask: UInt8Array) -> LevelMask:
     seen = (mask == 255).astype(np.float32)
     share = np.asarray(cv2.blur(seen, _HIGH_PASS_SIZE))
     # The outermost ring's gradient would be that of the mask, not of the floor.
     eroded = np.asarray(cv2.erode((mask == 255).astype(np.uint8), np.ones((5, 5))))
     # Where the border cuts much off the mean's window, another view's mean is another.
-    whole = (eroded > 0) & (share >= _LEAST_WINDOW_SHARE)
+    whole = (eroded > 0) & (share >= _MIN_WINDOW_SHARE)
     weight = whole.astype(np.float32)
     near = np.asarray(cv2.GaussianBlur(weight, (0, 0), _CONTRAST_PIXELS))
     least = np.float32(1e-3)
-    return Stencil(
+    return LevelMask(
         mask,
         seen,
         np.maximum(share, least),
@@ -160,12 +162,12 @@ def _halved(picture: UInt8Array) -> UInt8Array:
 
 def _level(
     image: UInt8Array,
-    stencil: Stencil,
+    stencil: LevelMask,
     pixel_from_metres: Float64Array,
     metres_per_pixel: float,
     frame_noise_gray: float,
     noise_gray: float | None,
-) -> DenseLevel:
+) -> PyramidLevel:
     detail = _detail(image, stencil)
     if noise_gray is None:
         noise_gray = _noise(detail, stencil.inside)
@@ -177,7 +179,7 @@ def _level(
     values = detail.ravel()[chosen].astype(np.float64)
     normalised = _normalised(detail, stencil, noise_gray)
     whole = max(float(cv2.countNonZero(stencil.inside)), 1.0)
-    return DenseLevel(
+    return PyramidLevel(
         pixel_from_metres,
         metres_per_pixel,
         image,
@@ -195,11 +197,11 @@ def _level(
     )
 
 
-def _normalised(detail: Float32Array, stencil: Stencil, noise_gray: float) -> Float32Array:
+def _normalised(detail: Float32Array, stencil: LevelMask, noise_gray: float) -> Float32Array:
     """Return the detail with its local contrast evened out; 0 outside."""
     values = detail * stencil.weight
     variance = cv2.GaussianBlur(values * values, (0, 0), _CONTRAST_PIXELS) / stencil.near
-    floor = np.float32((_LEAST_CONTRAST_GRAY + _NOISE_TIMES * noise_gray) ** 2)
+    floor = np.float32((_MIN_CONTRAST_GRAY + _NOISE_TIMES * noise_gray) ** 2)
     return np.asarray(values / np.sqrt(variance + floor), np.float32)
 
 
@@ -213,7 +215,7 @@ def _noise(detail: Float32Array, inside: UInt8Array) -> float:
     return _NOISE_FACTOR * float(np.median(left)) if left.size else 0.0
 
 
-def _detail(image: UInt8Array, stencil: Stencil) -> Float32Array:
+def _detail(image: UInt8Array, stencil: LevelMask) -> Float32Array:
     """Take out a picture's slow brightness, which belongs to lamp and lens.
 
     Both multiply: the logarithm makes that a sum, of which the high-pass leaves nothing. Without
@@ -224,7 +226,7 @@ def _detail(image: UInt8Array, stencil: Stencil) -> Float32Array:
     return np.asarray(cv2.GaussianBlur((values - mean) * stencil.seen, (3, 3), 0), np.float32)
 
 
-def gain(image: UInt8Array) -> Float32Array:
+def noise_gain(image: UInt8Array) -> Float32Array:
     """Return by how much a level's detail raises each pixel's noise: more where it is dark."""
     middle = np.float32(128.0 + _DARK_GRAY)
     return np.asarray(middle / (image.astype(np.float32) + np.float32(_DARK_GRAY)))
@@ -242,7 +244,7 @@ def slopes(detail: Float32Array, metres_per_pixel: float) -> tuple[Float32Array,
 def _most_telling(strength: Float32Array) -> Int64Array:
     """Return flat indices of the strongest gradients, by a sample of their distribution."""
     flat = strength.ravel()
-    weaker = 1.0 - _MOST_TEMPLATE_PIXELS / flat.size
+    weaker = 1.0 - _MAX_TEMPLATE_PIXELS / flat.size
     least = float(np.quantile(flat[::_SAMPLE_STEP], weaker)) if weaker > 0 else 0.0
     return np.flatnonzero(flat > least)
 

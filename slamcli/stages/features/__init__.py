@@ -16,11 +16,11 @@ from slamcli.core.config import FeatureOptions
 from slamcli.core.geometry import apply_homography
 from slamcli.core.records import Features, Keypoints, View
 from slamcli.stages.features.detectors import METHODS
-from slamcli.stages.features.selection import CLEARANCE_STEP, Picture
+from slamcli.stages.features.selection import CLEARANCE_STEP, DetectorInput
 
 __all__ = [
     "METHODS",
-    "Picture",
+    "DetectorInput",
     "clean_image",
     "detect",
     "extract",
@@ -85,19 +85,19 @@ def to_features(
     )
 
 
-def prepare(view: View, options: FeatureOptions) -> Picture:
+def prepare(view: View, options: FeatureOptions) -> DetectorInput:
     """Return what the detector is shown of a gray view: cleaned, and where points may lie."""
     gray = view.image
     if options.clean:
         gray = clean_image(gray, options.clean_kernel_pixels, options.clean_threshold)
     if not options.roi:
-        return Picture(gray, view.mask, None)
+        return DetectorInput(gray, view.mask, None)
     clearance = seen_clearance(view.mask)
     height, width = gray.shape
     clear = np.where(clearance > options.roi_border_pixels, np.uint8(255), np.uint8(0))
     allowed = np.repeat(np.repeat(clear, CLEARANCE_STEP, axis=0), CLEARANCE_STEP, axis=1)
     allowed = np.ascontiguousarray(allowed[:height, :width])
-    return Picture(gray, allowed, clearance)
+    return DetectorInput(gray, allowed, clearance)
 
 
 def clean_image(image: UInt8Array, kernel_pixels: int, threshold: int) -> UInt8Array:

@@ -15,7 +15,7 @@ from slamcli.core.geometry import apply_homography
 from slamcli.core.records import DescriptorNorm, Keypoints
 from slamcli.stages.features import subpixel
 from slamcli.stages.features.learned import detect_learned
-from slamcli.stages.features.selection import Picture, choose, pixel_from_level
+from slamcli.stages.features.selection import DetectorInput, choose, pixel_from_level
 
 # Spreading picks among this many times the points asked for: a painted line must not use them all
 # up. ORB finds them at little extra cost.
@@ -31,7 +31,7 @@ _ORB_DESCRIPTOR_BYTES = 32
 _SIFT_DIMENSIONS = 128
 
 
-def _detect_orb(picture: Picture, options: FeatureOptions) -> Keypoints:
+def _detect_orb(picture: DetectorInput, options: FeatureOptions) -> Keypoints:
     levels = _usable_levels(picture.gray, options)
     orb = _orb(options, levels, options.fast_threshold)
     found = orb.detect(picture.gray, picture.allowed)
@@ -120,7 +120,7 @@ def _shrink(source: UInt8Array, full_shape: tuple[int, ...], scale: float) -> UI
     return np.asarray(resized, dtype=np.uint8)
 
 
-def _detect_sift(picture: Picture, options: FeatureOptions) -> Keypoints:
+def _detect_sift(picture: DetectorInput, options: FeatureOptions) -> Keypoints:
     sift = cv2.SIFT.create(
         nfeatures=options.count * (_SIFT_SURPLUS if options.spread else 1),
         contrastThreshold=options.contrast_threshold,
@@ -162,7 +162,7 @@ def _sift_octave(point: cv2.KeyPoint) -> int:
 
 
 def _choose(
-    picture: Picture,
+    picture: DetectorInput,
     found: Sequence[cv2.KeyPoint],
     scales: Float64Array,
     options: FeatureOptions,
@@ -214,7 +214,7 @@ def _keypoints(
     )
 
 
-METHODS: Final[dict[FeatureMethod, Callable[[Picture, FeatureOptions], Keypoints]]] = {
+METHODS: Final[dict[FeatureMethod, Callable[[DetectorInput, FeatureOptions], Keypoints]]] = {
     "orb": _detect_orb,
     "sift": _detect_sift,
     "aliked": detect_learned,

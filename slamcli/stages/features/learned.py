@@ -12,7 +12,7 @@ from slamcli.core.config import FeatureOptions
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import apply_homography
 from slamcli.core.records import Keypoints
-from slamcli.stages.features.selection import Picture, choose, pixel_from_level
+from slamcli.stages.features.selection import DetectorInput, choose, pixel_from_level
 
 # Of the network's own picture: ALIKED places its points between the pixels, DISK upon them.
 _SIGMA_PIXELS = {"aliked": 0.25, "disk": 0.5}
@@ -20,7 +20,7 @@ _SIGMA_PIXELS = {"aliked": 0.25, "disk": 0.5}
 _SEEN_PIXELS = 8.0
 
 
-def detect_learned(picture: Picture, options: FeatureOptions) -> Keypoints:
+def detect_learned(picture: DetectorInput, options: FeatureOptions) -> Keypoints:
     """Find the points of a picture with the options' network.
 
     Raises

@@ -10,14 +10,14 @@ from slamcli.core.arrays import Float32Array, Float64Array, Int64Array, UInt8Arr
 from slamcli.core.config import FeatureOptions
 from slamcli.core.geometry import Grid
 
-# Pixels to the side of one value of Picture.clearance.
+# Pixels to the side of one value of DetectorInput.clearance.
 CLEARANCE_STEP = 4
 # Enough that a cell of sharp paint gives more than one of dull floor, which matches worse.
 _POINTS_PER_CELL = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class DetectorInput:
     """What a detector is shown of a view.
 
     Attributes
@@ -37,7 +37,7 @@ class Picture:
 
 
 def choose(
-    picture: Picture,
+    picture: DetectorInput,
     pixels: Float64Array,
     responses: Float32Array,
     scales: Float64Array | float,
@@ -47,7 +47,7 @@ def choose(
 
     Parameters
     ----------
-    picture : Picture
+    picture : DetectorInput
     pixels : (N, 2) float64
     responses : (N,) float32
     scales : (N,) float64 or float

@@ -17,7 +17,7 @@ from slamcli.stages.mosaic.tiles import CELL_PIXELS, MARGIN_CELLS, TILE_PIXELS
 
 # Brightness differs slowly: it is smoothed over twice so many cells and blended over as many.
 _SLOW_CELLS = 5
-_UNSEEN_GRAY, _MOST_CORRECTION_GRAY = 1.0, 40.0
+_UNSEEN_GRAY, _MAX_CORRECTION_GRAY = 1.0, 40.0
 # Cells that differ by less than this from those around are plain floor.
 _PLAIN_GRAY = 16.0
 # Around a view's own cells so many more are read, for where it turns out not to see all of them.
@@ -31,7 +31,7 @@ _MEDIAN_ROWS = 64
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class CellWindow:
     """A rectangle of a tile, in its cells; the margin's are negative or beyond the tile."""
 
     row: int
@@ -43,7 +43,7 @@ class Window:
 class Reader(Protocol):
     """Reads one view of a tile at full resolution."""
 
-    def __call__(self, place: int, window: Window) -> Sample:
+    def __call__(self, place: int, window: CellWindow) -> Sample:
         """Return what the view at a place in the list shows of a window."""
 
 
@@ -73,12 +73,12 @@ class Blended:
     Attributes
     ----------
     image : (TILE_PIXELS, TILE_PIXELS, 3) uint8
-    sharpness : (TILE_PIXELS, TILE_PIXELS) float32
+    pixels_per_metre : (TILE_PIXELS, TILE_PIXELS) float32
         Pixels of a picture to a metre of floor, of the view that counted most; 0: nothing seen.
     """
 
     image: UInt8Array
-    sharpness: Float32Array
+    pixels_per_metre: Float32Array
 
 
 def sharpest(weights: Float32Array) -> IntpArray:
@@ -100,7 +100,7 @@ def blend_best(views: Views) -> Blended:
     slow = _slow_corrections(views, label)
     total = np.zeros((TILE_PIXELS, TILE_PIXELS, 3), np.float32)
     share = np.zeros((TILE_PIXELS, TILE_PIXELS), np.float32)
-    sharpness = np.zeros_like(share)
+    pixels_per_metre = np.zeros_like(share)
     for number in np.unique(label[label >= 0]):
         own = (label == number).astype(np.float32)
         window = _window(_dilated(own, _SPARE_CELLS) > 0)
@@ -112,8 +112,13 @@ def blend_best(views: Views) -> Blended:
         colour = cv2.add(read.image, _enlarged(slow[number], window), dtype=cv2.CV_32F)
         cv2.accumulateProduct(np.asarray(colour), _tripled(alpha), total[part])
         share[part] += alpha
-        np.maximum(sharpness[part], read.sharpness, out=sharpness[part], where=alpha > 0)
-    return Blended(_divided(total, share), np.where(share > 0, sharpness, np.float32(0.0)))
+        np.maximum(
+            pixels_per_metre[part],
+            read.pixels_per_metre,
+            out=pixels_per_metre[part],
+            where=alpha > 0,
+        )
+    return Blended(_divided(total, share), np.where(share > 0, pixels_per_metre, np.float32(0.0)))
 
 
 def blend_mean(views: Views) -> Blended:
@@ -128,11 +133,11 @@ def blend_feather(views: Views) -> Blended:
 
 def blend_median(views: Views) -> Blended:
     """Return the median of all views, a channel at a time."""
-    images, sharpness = _read_all(views)
+    images, pixels_per_metre = _read_all(views)
     image = np.zeros(images.shape[1:], np.uint8)
     for row in range(0, TILE_PIXELS, _MEDIAN_ROWS):
         rows = slice(row, row + _MEDIAN_ROWS)
-        seen = sharpness[:, rows] > 0
+        seen = pixels_per_metre[:, rows] > 0
         count = seen.sum(axis=0)
         # What is not seen sorts to the end.
         values = np.sort(np.where(seen[..., None], images[:, rows], np.int16(256)), axis=0)
@@ -144,7 +149,7 @@ def blend_median(views: Views) -> Blended:
         )
         both = (low.astype(np.int32) + high + 1) // 2
         image[rows] = np.where(count[..., None] > 0, np.minimum(both, 255), 0)
-    return Blended(image, sharpness.max(axis=0))
+    return Blended(image, pixels_per_metre.max(axis=0))
 
 
 def blend_multiband(views: Views) -> Blended:
@@ -156,7 +161,7 @@ def blend_multiband(views: Views) -> Blended:
     label = sharpest(views.weights)
     margin = _BAND_MARGIN_CELLS
     count = TILE_PIXELS // CELL_PIXELS + 2 * margin
-    whole = Window(-margin, -margin, count, count)
+    whole = CellWindow(-margin, -margin, count, count)
     chosen = [int(number) for number in np.unique(label[_inside(whole)]) if number >= 0]
     reads = [views.read(number, whole) for number in chosen]
     side = count * CELL_PIXELS
@@ -178,7 +183,7 @@ def blend_multiband(views: Views) -> Blended:
     image = _collapsed([band / one[..., None] for band, one in zip(bands, sums, strict=True)])
     weight = np.zeros_like(total)
     for share, read in zip(shares, reads, strict=True):
-        np.maximum(weight, read.sharpness, out=weight, where=share > 0)
+        np.maximum(weight, read.pixels_per_metre, out=weight, where=share > 0)
     inner = slice(margin * CELL_PIXELS, side - margin * CELL_PIXELS)
     rounded = np.clip(np.rint(np.where(total[..., None] > 0, image, 0.0)), 0, 255)
     return Blended(rounded[inner, inner].astype(np.uint8), weight[inner, inner])
@@ -223,7 +228,7 @@ def _slow_corrections(views: Views, label: IntpArray) -> dict[int, Float32Array]
 def _worthwhile(correction: NDArray[np.floating]) -> Float32Array:
     """Shrink corrections by what no eye sees, and limit them."""
     size = np.abs(correction) - np.float32(_UNSEEN_GRAY)
-    limited = np.clip(size, 0.0, _MOST_CORRECTION_GRAY)
+    limited = np.clip(size, 0.0, _MAX_CORRECTION_GRAY)
     return np.asarray(np.copysign(limited, correction), np.float32)
 
 
@@ -234,7 +239,7 @@ def _smooth(values: Float32Array) -> Float32Array:
     return np.asarray(cv2.blur(once, box, borderType=cv2.BORDER_CONSTANT), np.float32)
 
 
-def _takeover(own: Float32Array, window: Window) -> Float32Array:
+def _takeover(own: Float32Array, window: CellWindow) -> Float32Array:
     """Return how much of each pixel a view claims: all of its own cells, and a trace around."""
     ramp = _enlarged(own, window)
     steep = np.clip((ramp - 0.5) * np.float32(_STEEPNESS) + 0.5, 0.0, 1.0)
@@ -246,29 +251,31 @@ def _takeover(own: Float32Array, window: Window) -> Float32Array:
 def _mean(views: Views, measure: Callable[[Float32Array], Float32Array]) -> Blended:
     total = np.zeros((TILE_PIXELS, TILE_PIXELS, 3), np.float32)
     share = np.zeros((TILE_PIXELS, TILE_PIXELS), np.float32)
-    sharpness = np.zeros_like(share)
+    pixels_per_metre = np.zeros_like(share)
     for number, part, read in _reads(views):
         weight = measure(_cleared(views, number, part, read))
         colour = read.image.astype(np.float32)
         cv2.accumulateProduct(colour, _tripled(weight), total[_pixels(part)])
         share[_pixels(part)] += weight
-        here = sharpness[_pixels(part)]
-        np.maximum(here, read.sharpness, out=here, where=weight > 0)
-    return Blended(_divided(total, share), sharpness)
+        here = pixels_per_metre[_pixels(part)]
+        np.maximum(here, read.pixels_per_metre, out=here, where=weight > 0)
+    return Blended(_divided(total, share), pixels_per_metre)
 
 
 def _read_all(views: Views) -> tuple[Int16Array, Float32Array]:
     found = list(_reads(views))
     images = np.zeros((max(1, len(found)), TILE_PIXELS, TILE_PIXELS, 3), np.int16)
-    sharpness = np.zeros(images.shape[:3], np.float32)
+    pixels_per_metre = np.zeros(images.shape[:3], np.float32)
     for place, (number, part, read) in enumerate(found):
         images[place][_pixels(part)] = read.image
         seen = _cleared(views, number, part, read) > 0
-        sharpness[place][_pixels(part)] = np.where(seen, read.sharpness, np.float32(0.0))
-    return images, sharpness
+        pixels_per_metre[place][_pixels(part)] = np.where(
+            seen, read.pixels_per_metre, np.float32(0.0)
+        )
+    return images, pixels_per_metre
 
 
-def _reads(views: Views) -> list[tuple[int, Window, Sample]]:
+def _reads(views: Views) -> list[tuple[int, CellWindow, Sample]]:
     """Read every view of the tile where it sees something."""
     found = []
     for number, weight in enumerate(views.weights):
@@ -278,7 +285,7 @@ def _reads(views: Views) -> list[tuple[int, Window, Sample]]:
     return found
 
 
-def _cleared(views: Views, number: int, window: Window, read: Sample) -> Float32Array:
+def _cleared(views: Views, number: int, window: CellWindow, read: Sample) -> Float32Array:
     """Return a view's weight, 0 in the cells where it does not show the floor.
 
     The cells at the rim of what it sees have their centres outside, and keep it.
@@ -294,13 +301,13 @@ def _dilated(cells: Float32Array, reach: int) -> Float32Array:
     return np.asarray(cv2.dilate(cells, np.ones((side, side), np.uint8)), np.float32)
 
 
-def _window(cells: BoolArray) -> Window | None:
+def _window(cells: BoolArray) -> CellWindow | None:
     """Return the smallest window of the tile proper around some cells; None when none is in it."""
     inner = cells[MARGIN_CELLS:-MARGIN_CELLS, MARGIN_CELLS:-MARGIN_CELLS]
     rows, columns = np.flatnonzero(inner.any(axis=1)), np.flatnonzero(inner.any(axis=0))
     if rows.size == 0:
         return None
-    return Window(
+    return CellWindow(
         int(rows[0]),
         int(columns[0]),
         int(rows[-1] - rows[0]) + 1,
@@ -308,7 +315,7 @@ def _window(cells: BoolArray) -> Window | None:
     )
 
 
-def _pixels(window: Window) -> tuple[slice, slice]:
+def _pixels(window: CellWindow) -> tuple[slice, slice]:
     """Return a window's place in the tile's pixels."""
     return (
         slice(window.row * CELL_PIXELS, (window.row + window.height) * CELL_PIXELS),
@@ -316,13 +323,13 @@ def _pixels(window: Window) -> tuple[slice, slice]:
     )
 
 
-def _inside(window: Window) -> tuple[slice, slice]:
+def _inside(window: CellWindow) -> tuple[slice, slice]:
     """Return a window's place in the cells."""
     row, column = window.row + MARGIN_CELLS, window.column + MARGIN_CELLS
     return slice(row, row + window.height), slice(column, column + window.width)
 
 
-def _enlarged(cells: Float32Array, window: Window) -> Float32Array:
+def _enlarged(cells: Float32Array, window: CellWindow) -> Float32Array:
     """Return a window of cells at the resolution of pixels."""
     rows, columns = _inside(window)
     # One cell more on each side, so that windows meet as if they had been enlarged in one.

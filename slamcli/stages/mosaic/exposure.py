@@ -22,11 +22,11 @@ _PLACES_ALONG_RANGE = 24
 # what is not floor no longer matters; each at 95 % efficiency. One sigma is 3 % of brightness.
 _ROUNDS, _HUBER_ROUNDS = 12, 6
 _HUBER, _TUKEY = 1.345, 4.685
-_LEAST_WEIGHT = 1e-3
+_MIN_WEIGHT = 1e-3
 _SIGMA = 0.03
 # Of a place that is seen again and again so many views, any of them, tell as much as is needed; all
 # of them, over a floor driven along all day, would take more memory than the map.
-_MOST_VIEWS_OF_A_PLACE = 16
+_MAX_VIEWS_OF_A_PLACE = 16
 # Without anything that speaks for another, every gain is 1 and the lens is even.
 _GAIN_SIGMA, _VIGNETTING_SIGMA = 1.0, 0.5
 _DARKEST_GRAY, _BRIGHTEST_GRAY = 8.0, 245.0
@@ -152,7 +152,7 @@ def solve(observations: Sequence[Shared]) -> Exposure:
         return Exposure(np.ones(frames))
     # One number a place: to tell pairs apart takes several times the memory.
     keys = np.concatenate([_keys(one.places) for one in observations])
-    some = _some_of_each(keys, _MOST_VIEWS_OF_A_PLACE)
+    some = _some_of_each(keys, _MAX_VIEWS_OF_A_PLACE)
     frame = np.repeat(np.arange(frames), counts)[some]
     _, place = np.unique(keys[some], return_inverse=True)
     logarithm = np.concatenate([one.logarithm for one in observations])[some]
@@ -184,7 +184,7 @@ def solve(observations: Sequence[Shared]) -> Exposure:
         if number < _HUBER_ROUNDS:
             weight = trust * np.minimum(1.0, _HUBER / np.maximum(residual, 1e-12))
         else:
-            weight = trust * np.maximum(1.0 - (residual / _TUKEY) ** 2, _LEAST_WEIGHT) ** 2
+            weight = trust * np.maximum(1.0 - (residual / _TUKEY) ** 2, _MIN_WEIGHT) ** 2
     # What is not clear of its own uncertainty, at best, is noise: pictures stay as they are.
     corrected = logarithm + design @ solution
     residual = (

@@ -7,22 +7,22 @@ import numpy as np
 
 from slamcli.core.arrays import BoolArray, UInt8Array
 
-# The alpha of what stands for good in a tile's `standing`; what passed has less.
+# The alpha of what stands for good in a tile's `obstacles`; what passed has less.
 STANDS_ALPHA, PASSED_ALPHA = 255, 150
 # The widest stripe that is a line and not a field.
-_WIDEST_LINE_METRES = 0.08
-_LEAST_LINE_CONTRAST_GRAY = 40.0
+_MAX_LINE_METRES = 0.08
+_MIN_LINE_CONTRAST_GRAY = 40.0
 
 
-def standing_cells(standing: UInt8Array, factor: int) -> BoolArray:
+def obstacle_cells(obstacles: UInt8Array, factor: int) -> BoolArray:
     """Return (h / factor, w / factor): whether anything stands in each cell.
 
     Parameters
     ----------
-    standing : (h, w, 4) uint8 BGRA
+    obstacles : (h, w, 4) uint8 BGRA
         Of a tile.
     """
-    return _any(standing[..., 3] >= STANDS_ALPHA, factor)
+    return _any(obstacles[..., 3] >= STANDS_ALPHA, factor)
 
 
 def line_cells(image: UInt8Array, mask: UInt8Array, metres_per_pixel: float) -> BoolArray:
@@ -32,7 +32,7 @@ def line_cells(image: UInt8Array, mask: UInt8Array, metres_per_pixel: float) -> 
     line, and Otsu's threshold, at least some contrast.
     """
     gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-    side = max(3, round(_WIDEST_LINE_METRES / metres_per_pixel) * 2 + 1)
+    side = max(3, round(_MAX_LINE_METRES / metres_per_pixel) * 2 + 1)
     # Unseen is taken as bright, so that the border of what was seen is no line.
     filled = np.where(mask > 0, gray, np.uint8(255))
     ground = cv2.morphologyEx(filled, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
@@ -41,7 +41,7 @@ def line_cells(image: UInt8Array, mask: UInt8Array, metres_per_pixel: float) -> 
     if seen.size == 0:
         return np.zeros(mask.shape, np.bool_)
     threshold, _ = cv2.threshold(seen[None], 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
-    return np.greater(above, max(float(threshold), _LEAST_LINE_CONTRAST_GRAY))
+    return np.greater(above, max(float(threshold), _MIN_LINE_CONTRAST_GRAY))
 
 
 def _any(pixels: BoolArray, factor: int) -> BoolArray:

@@ -16,19 +16,19 @@ from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import PaintOptions
 from slamcli.core.geometry import Grid, Pose2
-from slamcli.core.records import Frame, Shot, Tile
+from slamcli.core.records import Frame, PosedFrame, Tile
 from slamcli.stages.mosaic import blend, obstacles, sampling, tiles, view_consistency
-from slamcli.stages.mosaic.blend import Views, Window
+from slamcli.stages.mosaic.blend import CellWindow, Views
 from slamcli.stages.mosaic.exposure import Exposure
-from slamcli.stages.mosaic.sampling import Picture, Sample
+from slamcli.stages.mosaic.sampling import Sample, SourceImage
 from slamcli.stages.mosaic.tiles import TileKey
 
 # More views of one spot than this tell nothing new; the best of them are kept.
-_MOST_VIEWS = 20
+_MAX_VIEWS = 20
 _FEW_VIEWS = 24
 _PROBES = 9
 # By this share of the range, views of one spot may lie apart: poses, tilt, bowed floors.
-_DISPLACED_SHARE, _MOST_REACH_CELLS = 0.015, 4
+_DISPLACED_SHARE, _MAX_REACH_CELLS = 0.015, 4
 
 
 class Painter:
@@ -38,7 +38,7 @@ class Painter:
     ----------
     calibration : Calibration
         That frames have in common: lens and picture size. Where each stood over the floor, its
-        `Shot` tells.
+        `PosedFrame` tells.
     metres_per_pixel : float
         Of the map.
     options : PaintOptions
@@ -62,12 +62,12 @@ class Painter:
         self.metres_per_pixel = metres_per_pixel
         self.options = options or PaintOptions()
         self.hull = projection.footprint_hull(calibration)
-        self._usable = sampling.border_fade(projection.sharpness_image(calibration))
+        self._usable = sampling.border_fade(projection.resolution_image(calibration))
         coarsest = metres_per_pixel * tiles.CELL_PIXELS
         self._depth = sampling.pyramid_depth(calibration, coarsest)
         self.halves = sampling.may_be_halved(calibration, metres_per_pixel)
         displaced = _DISPLACED_SHARE * calibration.max_range_metres / coarsest
-        self._reach = min(_MOST_REACH_CELLS, max(1, round(displaced)))
+        self._reach = min(_MAX_REACH_CELLS, max(1, round(displaced)))
         self._light = light
         self._brightening = sampling.brightening(
             calibration.image_size, light.vignetting if light else (0.0, 0.0)
@@ -79,7 +79,7 @@ class Painter:
         width, height = self.calibration.image_size
         return width * height * 3 * 4 // (12 if self.halves else 3) + width * height
 
-    def plan(self, shots: Sequence[Shot]) -> list[tuple[TileKey, list[int]]]:
+    def plan(self, shots: Sequence[PosedFrame]) -> list[tuple[TileKey, list[int]]]:
         """Return every tile that is seen, with the numbers of the shots that may see it.
 
         In the order in which the robot first came by, so that few pictures are needed at a time.
@@ -91,7 +91,7 @@ class Painter:
                 seen.setdefault(key, []).append(number)
         return list(seen.items())
 
-    def picture(self, frame: Frame, number: int) -> Picture:
+    def picture(self, frame: Frame, number: int) -> SourceImage:
         """Return a frame's pyramid, evenly lit.
 
         Parameters
@@ -113,7 +113,7 @@ class Painter:
             halvings=int(halved),
         )
 
-    def blank(self) -> Picture:
+    def blank(self) -> SourceImage:
         """Return a picture that shows nothing, for a frame that can no longer be read."""
         width, height = self.calibration.image_size
         hidden = np.zeros((height, width), np.uint8)
@@ -122,9 +122,9 @@ class Painter:
     def paint(
         self,
         key: TileKey,
-        shots: Sequence[Shot],
+        shots: Sequence[PosedFrame],
         numbers: Sequence[int],
-        pictures: Callable[[int], Picture],
+        pictures: Callable[[int], SourceImage],
     ) -> Tile | None:
         """Return one tile; None when no frame really sees any of it.
 
@@ -150,10 +150,10 @@ class Painter:
         cells = np.stack([look.image for look in looks])
         weights = np.stack([look.weight for look in looks])
         shows_floor = weights > 0
-        if self.options.standing:
-            shows_floor = view_consistency.agreeing(cells, weights, self._reach)
+        if self.options.obstacles:
+            shows_floor = view_consistency.floor_views(cells, weights, self._reach)
 
-        def read(place: int, window: Window) -> Sample:
+        def read(place: int, window: CellWindow) -> Sample:
             shot = shots[chosen[place]]
             part = self._part(key, window)
             return sampling.sample(
@@ -163,16 +163,16 @@ class Painter:
         floor = np.where(shows_floor, weights, np.float32(0.0))
         views = blend.Views(cells, floor, read)
         blended = blend.BLENDS[self.options.blend](views)
-        if not blended.sharpness.any():
+        if not blended.pixels_per_metre.any():
             return None
         count, latest = _history(shows_floor, [shots[number].index for number in chosen])
         return Tile(
             tiles.tile_grid(key, self.metres_per_pixel),
             blended.image,
-            blended.sharpness,
-            _standing(blend.Views(cells, weights, read), shows_floor),
-            np.where(blended.sharpness > 0, count, np.uint16(0)),
-            np.where(blended.sharpness > 0, latest, np.int32(-1)),
+            blended.pixels_per_metre,
+            _obstacles(blend.Views(cells, weights, read), shows_floor),
+            np.where(blended.pixels_per_metre > 0, count, np.uint16(0)),
+            np.where(blended.pixels_per_metre > 0, latest, np.int32(-1)),
         )
 
     def patch(
@@ -191,13 +191,15 @@ class Painter:
         points = np.vstack([pose.apply(self.hull) for pose in poses])
         return Grid.covering(points, self.metres_per_pixel)
 
-    def _part(self, key: TileKey, window: Window) -> Grid:
+    def _part(self, key: TileKey, window: CellWindow) -> Grid:
         side = tiles.CELL_PIXELS
         return tiles.tile_grid(key, self.metres_per_pixel).window(
             window.column * side, window.row * side, window.width * side, window.height * side
         )
 
-    def _choose(self, key: TileKey, shots: Sequence[Shot], numbers: Sequence[int]) -> list[int]:
+    def _choose(
+        self, key: TileKey, shots: Sequence[PosedFrame], numbers: Sequence[int]
+    ) -> list[int]:
         """Return the shots that are among the best anywhere in a tile, when there are many."""
         if len(numbers) <= _FEW_VIEWS:
             return list(numbers)
@@ -208,17 +210,19 @@ class Painter:
             grid.y_min + share * (grid.y_max - grid.y_min),
         )
         probes = np.column_stack([x.ravel(), y.ravel()])
-        sharpness = np.zeros((len(numbers), len(probes)))
+        pixels_per_metre = np.zeros((len(numbers), len(probes)))
         for place, number in enumerate(numbers):
             shot = shots[number]
             floor = shot.map_from_robot.inverse().apply(probes)
             _, seen = projection.project_floor(shot.calibration, floor)
             sampled = projection.floor_sampling(shot.calibration, floor[seen])
-            sharpness[place, seen] = 1.0 / np.sqrt(sampled.prod(axis=1))
-        rank = np.argsort(np.argsort(-sharpness, axis=0, kind="stable"), axis=0, kind="stable")
-        best = (rank < _MOST_VIEWS) & (sharpness > 0)
+            pixels_per_metre[place, seen] = 1.0 / np.sqrt(sampled.prod(axis=1))
+        rank = np.argsort(
+            np.argsort(-pixels_per_metre, axis=0, kind="stable"), axis=0, kind="stable"
+        )
+        best = (rank < _MAX_VIEWS) & (pixels_per_metre > 0)
         # One that no probe sees may yet see a corner of the tile.
-        kept = np.flatnonzero(best.any(axis=1) | ~sharpness.any(axis=1))
+        kept = np.flatnonzero(best.any(axis=1) | ~pixels_per_metre.any(axis=1))
         return [numbers[int(place)] for place in kept]
 
 
@@ -235,7 +239,7 @@ def _history(shows_floor: BoolArray, indices: Sequence[int]) -> tuple[UInt16Arra
     )
 
 
-def _standing(views: Views, shows_floor: BoolArray) -> UInt8Array | None:
+def _obstacles(views: Views, shows_floor: BoolArray) -> UInt8Array | None:
     """Return (h, w, 4) BGRA of what is not floor, from the view that sees it best; or None."""
     other = np.where(shows_floor, np.float32(0.0), views.weights)
     margin = tiles.MARGIN_CELLS
@@ -248,7 +252,7 @@ def _standing(views: Views, shows_floor: BoolArray) -> UInt8Array | None:
     label = np.where(other.max(axis=0) > 0, other.argmax(axis=0), -1)[inner]
     side = tiles.CELL_PIXELS
     layer = np.zeros((tiles.TILE_PIXELS, tiles.TILE_PIXELS, 4), np.uint8)
-    whole = blend.Window(0, 0, *label.shape)
+    whole = blend.CellWindow(0, 0, *label.shape)
     for number in np.unique(label[label >= 0]):
         own = (label == number).repeat(side, axis=0).repeat(side, axis=1)
         shade = alpha.repeat(side, axis=0).repeat(side, axis=1)

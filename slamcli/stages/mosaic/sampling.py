@@ -20,12 +20,12 @@ Value = TypeVar("Value", np.uint8, np.float32)
 
 # Towards the border of what a picture shows its weight falls to nothing over this many pixels.
 BORDER_PIXELS = 24
-_DEEPEST_LEVEL = 6
+_MAX_LEVEL = 6
 # A lens bends so smoothly that its effect is exact to a hundredth of a pixel between such points.
 _LATTICE_PIXELS = 8
 _LARGE_PIXELS = 128
 _OUT_OF_SIGHT = -1.0e4
-_LEAST_DEPTH = 1.0e-6
+_MIN_DEPTH = 1.0e-6
 # A camera that rocks sees the rim of the floor by so much less finely than it is calibrated to.
 _ROCKING_SLACK = 1.1
 # Vignetting changes so slowly that a value for each of so many pixels, each way, is enough.
@@ -33,7 +33,7 @@ _BRIGHTENING_LEVEL = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class SourceImage:
     """A frame ready to be painted.
 
     Attributes
@@ -67,24 +67,24 @@ class Sample:
     weight : (h, w) float32
         Pixels of the picture to a metre of floor, fading to nothing towards the border of what is
         usable; 0 where the floor is not seen.
-    sharpness : (h, w) float32
+    pixels_per_metre : (h, w) float32
         The same without the fading; of use only where the weight is not 0.
     """
 
     image: UInt8Array
     weight: Float32Array
-    sharpness: Float32Array
+    pixels_per_metre: Float32Array
 
 
-def border_fade(sharpness: Float32Array) -> UInt8Array:
+def border_fade(pixels_per_metre: Float32Array) -> UInt8Array:
     """Return (H, W): 255 well inside the usable part of a picture, 0 outside, fading between.
 
     Parameters
     ----------
-    sharpness : (H, W) float32
-        From `camera.sharpness_image`: 0 where no floor is seen.
+    pixels_per_metre : (H, W) float32
+        From `projection.resolution_image`: 0 where no floor is seen.
     """
-    usable = np.pad(np.where(sharpness > 0, np.uint8(255), np.uint8(0)), 1)
+    usable = np.pad(np.where(pixels_per_metre > 0, np.uint8(255), np.uint8(0)), 1)
     distance = np.asarray(cv2.distanceTransform(usable, cv2.DIST_L2, 3))[1:-1, 1:-1]
     fade = np.minimum(distance * np.float32(255.0 / BORDER_PIXELS), np.float32(255.0))
     return np.asarray(np.ceil(fade), np.uint8)
@@ -93,7 +93,7 @@ def border_fade(sharpness: Float32Array) -> UInt8Array:
 def brightening(
     image_size: tuple[int, int], vignetting: tuple[float, float]
 ) -> Float32Array | None:
-    """Return what undoes a lens's vignetting, as a `Picture` keeps it; None for an even lens."""
+    """Return what undoes a lens's vignetting, as a `SourceImage` has it; None for an even lens."""
     return exposure.brightening_image(image_size, vignetting, 2**_BRIGHTENING_LEVEL)
 
 
@@ -106,7 +106,7 @@ def make_picture(
     brightening: Float32Array | None = None,
     *,
     halvings: int = 0,
-) -> Picture:
+) -> SourceImage:
     """Return a frame's pyramid down to its `depth`-th halving, and which of its pixels may be used.
 
     A small picture's ends sooner, with a side of one pixel.
@@ -121,7 +121,7 @@ def make_picture(
         The frame's own; 255 where the picture is opaque.
     gain : float
     brightening : (h, w) float32 or None
-        As in `Picture`. What is read is corrected, not the picture: that is much less.
+        As in `SourceImage`. What is read is corrected, not the picture: that is much less.
     """
     if image.ndim == 2:
         image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
@@ -132,7 +132,7 @@ def make_picture(
         # What lies between an opaque pixel and another is a mixture.
         opaque = cv2.erode(mask, np.ones((3, 3), np.uint8))
         usable = np.where(opaque == 255, usable, np.uint8(0))
-    return Picture(tuple(levels), halvings, usable, gain, brightening)
+    return SourceImage(tuple(levels), halvings, usable, gain, brightening)
 
 
 def _halved(image: UInt8Array) -> UInt8Array:
@@ -148,7 +148,7 @@ def _halved(image: UInt8Array) -> UInt8Array:
 def pyramid_depth(calibration: Calibration, metres_per_pixel: float) -> int:
     """Return how many times a picture is halved before it is coarser than such a raster."""
     _, sharpest = _pixels_a_metre(calibration)
-    return min(_DEEPEST_LEVEL, int(math.log2(max(1.0, sharpest * metres_per_pixel))))
+    return min(_MAX_LEVEL, int(math.log2(max(1.0, sharpest * metres_per_pixel))))
 
 
 def may_be_halved(calibration: Calibration, metres_per_pixel: float) -> bool:
@@ -170,7 +170,7 @@ def _pixels_a_metre(calibration: Calibration) -> tuple[float, float]:
 
 
 def sample(
-    picture: Picture,
+    picture: SourceImage,
     calibration: Calibration,
     map_from_robot: Pose2,
     grid: Grid,
@@ -192,9 +192,9 @@ def sample(
     look = _look(picture, calibration, map_from_robot, grid)
     image = np.zeros((grid.height, grid.width, 3), np.uint8)
     seen = (look.weight > 0).astype(np.uint8)
-    coarsest, finest, _, _ = cv2.minMaxLoc(look.sharpness, seen)
+    coarsest, finest, _, _ = cv2.minMaxLoc(look.pixels_per_metre, seen)
     if finest <= 0:
-        return Sample(image, look.weight, look.sharpness)
+        return Sample(image, look.weight, look.pixels_per_metre)
     scale = grid.metres_per_pixel * (1 + 1e-6)
     deepest = picture.halvings + len(picture.levels) - 1
     first, last = (
@@ -204,7 +204,7 @@ def sample(
     for number in range(first, last + 1):
         low = 2.0**number / scale if number > first else 0.0
         high = 2.0 ** (number + 1) / scale if number < last else math.inf
-        band = np.asarray(cv2.inRange(look.sharpness, low, high), np.uint8)
+        band = np.asarray(cv2.inRange(look.pixels_per_metre, low, high), np.uint8)
         band = np.asarray(cv2.bitwise_and(band, band, mask=seen), np.uint8)
         left, top, width, height = cv2.boundingRect(band)
         if width == 0:
@@ -214,11 +214,11 @@ def sample(
         read = _read(level, number, number, look, rows, columns, smooth=smooth)
         read = _lit(read, picture, look, rows, columns)
         cv2.copyTo(read, band[rows, columns], image[rows, columns])
-    return Sample(image, look.weight, look.sharpness)
+    return Sample(image, look.weight, look.pixels_per_metre)
 
 
 def weigh(
-    picture: Picture, calibration: Calibration, map_from_robot: Pose2, grid: Grid
+    picture: SourceImage, calibration: Calibration, map_from_robot: Pose2, grid: Grid
 ) -> Float32Array:
     """Return the weight alone of what `sample` would read."""
     return _look(picture, calibration, map_from_robot, grid).weight
@@ -234,17 +234,19 @@ class _Look:
         From the raster to the undistorted picture.
     lens : ((h, w) float32, (h, w) float32) or None
         Columns and rows in the distorted picture; None without distortion.
-    sharpness, weight : (h, w) float32
+    pixels_per_metre, weight : (h, w) float32
         Pixels a metre, and that with all that is not usable at 0.
     """
 
     image_from_pixel: Float64Array
     lens: tuple[Float32Array, Float32Array] | None
-    sharpness: Float32Array
+    pixels_per_metre: Float32Array
     weight: Float32Array
 
 
-def _look(picture: Picture, calibration: Calibration, map_from_robot: Pose2, grid: Grid) -> _Look:
+def _look(
+    picture: SourceImage, calibration: Calibration, map_from_robot: Pose2, grid: Grid
+) -> _Look:
     robot_from_pixel = map_from_robot.inverse().matrix @ grid.metres_from_pixel
     homography = calibration.image_from_robot @ robot_from_pixel
     lens = None
@@ -258,13 +260,13 @@ def _look(picture: Picture, calibration: Calibration, map_from_robot: Pose2, gri
             (grid.width, grid.height),
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         )
-    sharpness = _sharpness(calibration, robot_from_pixel, grid)
-    scaled = cv2.multiply(usable, sharpness, scale=1.0 / 255.0, dtype=cv2.CV_32F)
+    pixels_per_metre = _resolution(calibration, robot_from_pixel, grid)
+    scaled = cv2.multiply(usable, pixels_per_metre, scale=1.0 / 255.0, dtype=cv2.CV_32F)
     weight = np.asarray(scaled, np.float32)
     corners = map_from_robot.inverse().apply(grid.corners)
     if np.hypot(*corners.T).max() > calibration.max_range_metres:
         weight[_out_of_range(calibration, robot_from_pixel, grid)] = 0.0
-    return _Look(homography, lens, sharpness, weight)
+    return _Look(homography, lens, pixels_per_metre, weight)
 
 
 def _out_of_range(
@@ -283,7 +285,7 @@ def _out_of_range(
     return np.greater(along.astype(np.float32)[None, :], (limit - down).astype(np.float32)[:, None])
 
 
-def _sharpness(
+def _resolution(
     calibration: Calibration, robot_from_pixel: Float64Array, grid: Grid
 ) -> Float32Array:
     """Return (h, w) pixels a metre; of no use behind the camera, which no picture shows.
@@ -295,12 +297,12 @@ def _sharpness(
     column = (row[0] * np.arange(grid.width)).astype(np.float32)
     line = (row[1] * np.arange(grid.height) + row[2]).astype(np.float32)
     depth = column[None, :] + line[:, None]
-    np.maximum(depth, np.float32(_LEAST_DEPTH), out=depth)
+    np.maximum(depth, np.float32(_MIN_DEPTH), out=depth)
     return np.asarray(cv2.pow(depth, -1.5), np.float32)
 
 
 def _lit(
-    read: UInt8Array, picture: Picture, look: _Look, rows: slice, columns: slice
+    read: UInt8Array, picture: SourceImage, look: _Look, rows: slice, columns: slice
 ) -> UInt8Array:
     """Return part of a raster, as it was read, as bright as the other frames and evenly so."""
     factor = None

@@ -27,14 +27,14 @@ Channel = TypeVar("Channel", np.uint8, np.int16)
 _TOLERANCE_GRAY = 12.0
 _TOLERANCE_SHARE = 0.08
 # A difference beyond this tells no more.
-_GREATEST_DIFFERENCE_GRAY = 48
+_MAX_DIFFERENCE_GRAY = 48
 # Two views that differ do not tell which one is right.
-_LEAST_VIEWS = 3
+_MIN_VIEWS = 3
 # Floor goes on across the border of where views differ; a thing ends there. So far, in cells, to
 # either side they are compared, and by so much more, and so many times, must it differ.
 _OUTLINE_CELLS = 4
 _OUTLINE_GRAY, _OUTLINE_TIMES = 8.0, 1.5
-_LEAST_OUTLINE_CELLS = 6
+_MIN_OUTLINE_CELLS = 6
 
 
 def reference(cells: UInt8Array, weights: Float32Array) -> tuple[UInt8Array, IntpArray]:
@@ -52,7 +52,7 @@ def reference(cells: UInt8Array, weights: Float32Array) -> tuple[UInt8Array, Int
     """
     count = len(cells)
     cost = np.zeros(weights.shape, np.float32)
-    greatest = np.float32(_GREATEST_DIFFERENCE_GRAY)
+    greatest = np.float32(_MAX_DIFFERENCE_GRAY)
     for first in range(count):
         for second in range(first + 1, count):
             channels = cv2.absdiff(cells[first], cells[second])
@@ -67,7 +67,7 @@ def reference(cells: UInt8Array, weights: Float32Array) -> tuple[UInt8Array, Int
     return picked, chosen
 
 
-def agreeing(cells: UInt8Array, weights: Float32Array, reach_cells: int = 1) -> BoolArray:
+def floor_views(cells: UInt8Array, weights: Float32Array, reach_cells: int = 1) -> BoolArray:
     """Return (N, h, w): whether a view shows, in a cell that it sees, the floor.
 
     A value between the lowest and the highest of the reference around a cell agrees with it: so
@@ -125,7 +125,7 @@ def _agreeing(cells: UInt8Array, weights: Float32Array, reach_cells: int) -> Boo
     if not contested.any():
         return seen
     wrong = (other | differs).sum(axis=0)
-    decided = (count >= _LEAST_VIEWS) & (3 * wrong <= count)
+    decided = (count >= _MIN_VIEWS) & (3 * wrong <= count)
     open_cells = contested & ~decided
     told = _settle_by_outline(cells, seen, differs, open_cells, ~contested)
     open_cells = open_cells & ~told
@@ -138,7 +138,7 @@ def _agreeing(cells: UInt8Array, weights: Float32Array, reach_cells: int) -> Boo
             # To find out one view is to clear those that differ from it.
             votes += np.where(view, vote, -vote)
     differs ^= seen & open_cells & (votes < 0)
-    differs &= ~(open_cells & (votes == 0) & (count < _LEAST_VIEWS))
+    differs &= ~(open_cells & (votes == 0) & (count < _MIN_VIEWS))
     agrees: BoolArray = seen & ~differs
     orphaned = (count > 0) & ~agrees.any(axis=0)
     if orphaned.any():
@@ -242,10 +242,10 @@ def _off_surroundings(
     around = np.ones((2 * _OUTLINE_CELLS + 1, 2 * _OUTLINE_CELLS + 1), np.uint8)
     near = np.asarray(cv2.dilate(beside.astype(np.uint8), around)) > 0
     compared = part & sees & near
-    if np.count_nonzero(compared) < _LEAST_OUTLINE_CELLS:
+    if np.count_nonzero(compared) < _MIN_OUTLINE_CELLS:
         return float("nan")
     beyond = _beyond(view, view, ~beside, _OUTLINE_CELLS)[compared]
-    return float(np.clip(beyond, 0, _GREATEST_DIFFERENCE_GRAY).mean())
+    return float(np.clip(beyond, 0, _MAX_DIFFERENCE_GRAY).mean())
 
 
 def _largest(channels: NDArray[Channel]) -> NDArray[Channel]:

@@ -1,7 +1,7 @@
 """All that was measured, weighed against one another: the poses that fit it best, and how surely.
 
 A pose graph over SE(2): motions between frames, with headings of a compass and places of GPS, the
-former's offset and the latter's frame and lever arm among the unknowns. Loops and the other senses
+former's offset and the latter's frame and lever arm among the unknowns. Loops and the other sensors
 are suspects, and so are steps that contradict their neighbours: graduated non-convexity switches
 off those that the rest contradicts; how well the rest agrees tells how far to trust what links say
 of their errors. Links alone are solved by GTSAM (Dellaert and Kaess, Factor Graphs for Robot
@@ -24,18 +24,23 @@ from slamcli.core.records import Link
 from slamcli.stages.posegraph import gtsam_solver, sparse_solver
 from slamcli.stages.posegraph.build import build, first_state
 from slamcli.stages.posegraph.components import Sets, components, spanning
-from slamcli.stages.posegraph.factors import Heading, Place, SenseOffsets, Solution
+from slamcli.stages.posegraph.factors import (
+    HeadingReading,
+    PositionReading,
+    SensorOffsets,
+    Solution,
+)
 from slamcli.stages.posegraph.marginals import diagonal_blocks
 from slamcli.stages.posegraph.problem import Problem
-from slamcli.stages.posegraph.state import State
+from slamcli.stages.posegraph.state import GraphState
 from slamcli.stages.posegraph.variance import variance_factor
 
 Solver = Literal["gtsam", "scipy"]
 
 __all__ = [
-    "Heading",
-    "Place",
-    "SenseOffsets",
+    "HeadingReading",
+    "PositionReading",
+    "SensorOffsets",
     "Solution",
     "components",
     "compose_covariance",
@@ -50,18 +55,18 @@ _SEEN = ("step", "loop")
 _FUSE_STEPS = 4
 # With so few outliers among the readings, none can pull the rest far.
 _NEARLY_ALL = 0.9
-_MOST_ROUNDS = 5
+_MAX_ROUNDS = 5
 
 
 def solve(
     initial: Mapping[int, Pose2],
     links: Sequence[Link],
-    headings: Sequence[Heading] = (),
-    places: Sequence[Place] = (),
+    headings: Sequence[HeadingReading] = (),
+    places: Sequence[PositionReading] = (),
     *,
     lever_arm_metres: tuple[float, float] | None = (0.0, 0.0),
     held: Collection[int] = (),
-    prior: SenseOffsets | None = None,
+    prior: SensorOffsets | None = None,
     solver: Solver | None = None,
 ) -> Solution:
     """Solve one connected component, its first frame held where it is.
@@ -78,7 +83,7 @@ def solve(
         Of the GPS antenna; None estimates it.
     held : collection of int
         Frames held where they are in place of the first one; covariances are as if they were known.
-    prior : SenseOffsets or None
+    prior : SensorOffsets or None
         What readings besides the given ones told of them; of the antenna this is taken for certain.
     solver : str or None
         None takes GTSAM where it is installed; for headings and places always scipy.
@@ -109,8 +114,8 @@ def solve(
 
 
 def _agreed(
-    problem: Problem, state: State, trusted: BoolArray, solver: ModuleType
-) -> tuple[State, BoolArray]:
+    problem: Problem, state: GraphState, trusted: BoolArray, solver: ModuleType
+) -> tuple[GraphState, BoolArray]:
     """Return the solution of all factors that the others do not contradict, and which these are."""
     everything = np.ones(len(problem))
     whole = solver.optimise(problem, state, everything)
@@ -135,15 +140,15 @@ def _agreed(
 
 
 def _nearly_agreed(
-    problem: Problem, state: State, solver: ModuleType
-) -> tuple[State, BoolArray] | None:
+    problem: Problem, state: GraphState, solver: ModuleType
+) -> tuple[GraphState, BoolArray] | None:
     """Return the solution where all links and most readings agree from the start, else None.
 
     Then what is not believed can be told by its error alone, round by round, in a fraction of the
     time.
     """
     kept = problem.squared_errors(state) <= sparse_solver.THRESHOLD
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         kept[: len(problem.motions)] = True
         if kept.mean() < _NEARLY_ALL:
             return None
@@ -155,8 +160,8 @@ def _nearly_agreed(
 
 
 def _settled(
-    problem: Problem, state: State, kept: BoolArray, solver: ModuleType
-) -> tuple[State, BoolArray]:
+    problem: Problem, state: GraphState, kept: BoolArray, solver: ModuleType
+) -> tuple[GraphState, BoolArray]:
     """Solve what was kept; then keep also what agrees with that, and what alone ties two parts."""
     motions = len(problem.motions)
     for last in (False, True):
@@ -189,7 +194,7 @@ def _spanning(problem: Problem, count: int, order: Int64Array) -> tuple[Sets, li
     return sets, [motion for motion, a, b in ends if sets.merge(a, b)]
 
 
-def _factor(problem: Problem, state: State, seen: Int64Array, loops: int) -> float:
+def _factor(problem: Problem, state: GraphState, seen: Int64Array, loops: int) -> float:
     """Return the variance factor of links (by their numbers) that pictures tell of."""
     _, tree = _spanning(problem, len(state.poses), seen)
     errors = problem.squared_errors(state)[seen]
@@ -198,7 +203,7 @@ def _factor(problem: Problem, state: State, seen: Int64Array, loops: int) -> flo
 
 def _solution(
     problem: Problem,
-    state: State,
+    state: GraphState,
     kept: BoolArray,
     frames: Sequence[int],
     weights: Float64Array,
@@ -219,7 +224,7 @@ def _solution(
         tuple(off[off < first].tolist()),
         tuple((off[(off >= first) & (off < second)] - first).tolist()),
         tuple((off[off >= second] - second).tolist()),
-        SenseOffsets(
+        SensorOffsets(
             state.compass_offset,
             float(np.sqrt(compass[0, 0])),
             Pose2(*state.east_north_from_map.tolist()),

@@ -9,10 +9,10 @@ import numpy as np
 from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.core.geometry import Pose2, compose_poses, pose_array
 from slamcli.core.records import Link
-from slamcli.stages.posegraph.factors import Heading, Place, SenseOffsets
+from slamcli.stages.posegraph.factors import HeadingReading, PositionReading, SensorOffsets
 from slamcli.stages.posegraph.measurements import Headings, Motions, Places
 from slamcli.stages.posegraph.problem import Problem
-from slamcli.stages.posegraph.state import ANCHOR_SIGMA, LOOSE_SIGMA, SensePrior, State
+from slamcli.stages.posegraph.state import ANCHOR_SIGMA, LOOSE_SIGMA, GraphState, SensorPrior
 
 _REWEIGHTINGS = 30
 # Metres within which a place counts in full as the first guess is made.
@@ -24,12 +24,12 @@ _LEVER_SIGMA = 1.0
 def build(
     frames: Sequence[int],
     links: Sequence[Link],
-    headings: Sequence[Heading],
-    places: Sequence[Place],
+    headings: Sequence[HeadingReading],
+    places: Sequence[PositionReading],
     *,
     lever_arm_metres: tuple[float, float] | None,
     held: Collection[int] = (),
-    prior: SenseOffsets | None = None,
+    prior: SensorOffsets | None = None,
 ) -> Problem:
     """Return the problem over frames, in the order of their poses; the first one is held, if none.
 
@@ -37,7 +37,7 @@ def build(
     ----------
     lever_arm_metres : (float, float) or None
         Of the GPS antenna, where it is known.
-    prior : SenseOffsets or None
+    prior : SensorOffsets or None
         What earlier readings told of the senses; of the antenna that is taken for certain.
     """
     pose_of = {frame: place for place, frame in enumerate(frames)}
@@ -72,11 +72,11 @@ def build(
     )
 
 
-def first_state(problem: Problem, poses: Float64Array) -> State:
+def first_state(problem: Problem, poses: Float64Array) -> GraphState:
     """Return first poses with the compass's offset and the datum that most readings agree on."""
     senses = problem.prior.senses.copy()
     if problem.prior.told:
-        return State(poses, senses)
+        return GraphState(poses, senses)
     if len(problem.headings):
         told = poses[problem.headings.pose, 2] + problem.headings.turn
         senses[0] = _middle_angle(problem.headings.heading - told)
@@ -84,24 +84,24 @@ def first_state(problem: Problem, poses: Float64Array) -> State:
         antenna = compose_poses(problem.places.motion, np.append(senses[4:], 0.0))
         in_map = compose_poses(poses[problem.places.pose], antenna)[:, :2]
         senses[1:4] = _align(in_map, problem.places.east_north)
-    return State(poses, senses)
+    return GraphState(poses, senses)
 
 
-def _nothing_told(lever_arm_metres: tuple[float, float] | None) -> SensePrior:
+def _nothing_told(lever_arm_metres: tuple[float, float] | None) -> SensorPrior:
     lever = _LEVER_SIGMA if lever_arm_metres is None else ANCHOR_SIGMA
     senses = np.zeros(6)
     senses[4:] = lever_arm_metres or (0.0, 0.0)
-    return SensePrior(senses, np.diag(1.0 / np.array([LOOSE_SIGMA] * 4 + [lever] * 2)), told=False)
+    return SensorPrior(senses, np.diag(1.0 / np.array([LOOSE_SIGMA] * 4 + [lever] * 2)), told=False)
 
 
-def _told(offsets: SenseOffsets) -> SensePrior:
+def _told(offsets: SensorOffsets) -> SensorPrior:
     datum = offsets.east_north_from_map
     back = Pose2(0.0, 0.0, -datum.theta).matrix
     covariance = ANCHOR_SIGMA**2 * np.eye(6)
     covariance[0, 0] = offsets.compass_offset_sigma_radians**2
     covariance[1:4, 1:4] = back @ offsets.east_north_covariance @ back.T
     senses = (offsets.compass_offset_radians, datum.x, datum.y, datum.theta)
-    return SensePrior(
+    return SensorPrior(
         np.array([*senses, *offsets.lever_arm_metres]), _whitenings(covariance[None])[0], told=True
     )
 

@@ -9,7 +9,7 @@ from slamcli.core.geometry import Pose2
 
 
 @dataclass(frozen=True, slots=True)
-class Heading:
+class HeadingReading:
     """A compass's reading, tied to a frame.
 
     Attributes
@@ -32,7 +32,7 @@ class Heading:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class PositionReading:
     """A GPS reading, tied to a frame.
 
     Attributes
@@ -56,7 +56,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SenseOffsets:
+class SensorOffsets:
     """What the other senses' readings are off by.
 
     Attributes
@@ -91,7 +91,7 @@ class Solution:
         Places in the given links of those that the others contradict.
     headings_off, places_off : tuple of int
         The same of the compass's and the GPS's readings.
-    offsets : SenseOffsets
+    offsets : SensorOffsets
         Without meaning where there was no reading.
     variance_factor : float
         What the covariances of links between pictures were multiplied by for the poses' ones.
@@ -102,5 +102,5 @@ class Solution:
     switched_off: tuple[int, ...]
     headings_off: tuple[int, ...]
     places_off: tuple[int, ...]
-    offsets: SenseOffsets
+    offsets: SensorOffsets
     variance_factor: float

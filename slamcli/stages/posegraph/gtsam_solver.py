@@ -11,15 +11,15 @@ import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float64Array
 from slamcli.stages.posegraph.problem import Problem
-from slamcli.stages.posegraph.sparse_solver import INLIER_PROBABILITY, LEAST_WEIGHT
-from slamcli.stages.posegraph.state import ANCHOR_SIGMA, State
+from slamcli.stages.posegraph.sparse_solver import INLIER_PROBABILITY, MIN_WEIGHT
+from slamcli.stages.posegraph.state import ANCHOR_SIGMA, GraphState
 
 _RELATIVE_ERROR = 1e-10
 # The next tightening begins where the last one left.
 _STEPS_A_TIGHTENING = 2
 
 
-def optimise(problem: Problem, state: State, weights: Float64Array) -> State:
+def optimise(problem: Problem, state: GraphState, weights: Float64Array) -> GraphState:
     """Return the state of least squares of the factors with weight 1 near a first one."""
     import gtsam
 
@@ -32,13 +32,13 @@ def optimise(problem: Problem, state: State, weights: Float64Array) -> State:
     return _state(state, gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize())
 
 
-def robust(problem: Problem, state: State, suspects: BoolArray, held: BoolArray) -> BoolArray:
+def robust(problem: Problem, state: GraphState, suspects: BoolArray, held: BoolArray) -> BoolArray:
     """Return which factors to keep: those under no suspicion, and the suspects that agree.
 
     Parameters
     ----------
     problem : Problem
-    state : State
+    state : GraphState
         A first one.
     suspects : (F,) bool
         Factors that may be false.
@@ -49,7 +49,7 @@ def robust(problem: Problem, state: State, suspects: BoolArray, held: BoolArray)
 
     graph = _fixed(problem, state)
     for place in np.flatnonzero(held).tolist():
-        graph.add(_factor(problem, place, LEAST_WEIGHT))
+        graph.add(_factor(problem, place, MIN_WEIGHT))
     for place in np.flatnonzero(~suspects).tolist():
         graph.add(_factor(problem, place))
     known = graph.size()
@@ -68,7 +68,7 @@ def robust(problem: Problem, state: State, suspects: BoolArray, held: BoolArray)
     return kept
 
 
-def _fixed(problem: Problem, state: State) -> Any:
+def _fixed(problem: Problem, state: GraphState) -> Any:
     """Return a graph of the poses that are held."""
     import gtsam
 
@@ -90,7 +90,7 @@ def _factor(problem: Problem, place: int, weight: float = 1.0) -> Any:
     return gtsam.BetweenFactorPose2(motions.a[place], motions.b[place], motion, noise)
 
 
-def _values(state: State) -> Any:
+def _values(state: GraphState) -> Any:
     import gtsam
 
     values = gtsam.Values()
@@ -99,7 +99,7 @@ def _values(state: State) -> Any:
     return values
 
 
-def _state(state: State, values: Any) -> State:
+def _state(state: GraphState, values: Any) -> GraphState:
     solved = [values.atPose2(key) for key in range(len(state.poses))]
     poses = np.array([(pose.x(), pose.y(), pose.theta()) for pose in solved])
-    return State(poses, state.senses)
+    return GraphState(poses, state.senses)

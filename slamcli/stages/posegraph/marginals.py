@@ -18,7 +18,7 @@ from scipy.sparse.linalg import splu
 from slamcli.core.arrays import Float64Array, Int64Array
 
 # Fronts that are merged may hold this many more blocks than needed: fewer, larger steps are faster.
-_MOST_PADDING_BLOCKS = 4
+_MAX_PADDING_BLOCKS = 4
 
 
 @dataclass(slots=True, eq=False)
@@ -141,7 +141,7 @@ def _merged(touched: list[set[int]], parents: list[int]) -> list[_Front]:
         last = fronts[-1] if fronts else None
         if last is not None and last.columns[-1] == place - 1 and parents[place - 1] == place:
             padding = len(below) + 1 - len(touched[last.columns[0]]) + len(last.columns) - 1
-            if padding <= _MOST_PADDING_BLOCKS:
+            if padding <= _MAX_PADDING_BLOCKS:
                 last.columns.append(place)
                 last.touched = sorted(below)
                 front_of[place] = len(fronts) - 1

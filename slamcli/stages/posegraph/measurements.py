@@ -9,7 +9,7 @@ import numpy as np
 
 from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.core.geometry import compose_poses, relative_poses
-from slamcli.stages.posegraph.state import State
+from slamcli.stages.posegraph.state import GraphState
 
 
 class Slopes(NamedTuple):
@@ -48,14 +48,14 @@ class Motions:
     def __len__(self) -> int:
         return len(self.a)
 
-    def errors(self, state: State) -> Float64Array:
+    def errors(self, state: GraphState) -> Float64Array:
         """Return (K, 3) whitened residuals."""
         seen = relative_poses(state.poses[self.a], state.poses[self.b])
         raw = relative_poses(self.a_from_b, seen)
         errors: Float64Array = np.einsum("kij,kj->ki", self.whitening, raw)
         return errors
 
-    def slopes(self, state: State) -> Slopes:
+    def slopes(self, state: GraphState) -> Slopes:
         """Return how they change with either pose."""
         seen = relative_poses(state.poses[self.a], state.poses[self.b])
         back = _rotations(-self.a_from_b[:, 2])
@@ -92,14 +92,14 @@ class Headings:
     def __len__(self) -> int:
         return len(self.pose)
 
-    def errors(self, state: State) -> Float64Array:
+    def errors(self, state: GraphState) -> Float64Array:
         """Return (K, 1) whitened residuals."""
         told = state.poses[self.pose, 2] + self.turn + state.compass_offset
         wrapped = (told - self.heading + np.pi) % (2.0 * np.pi) - np.pi
         errors: Float64Array = (wrapped / self.sigma)[:, None]
         return errors
 
-    def slopes(self, state: State) -> Slopes:
+    def slopes(self, state: GraphState) -> Slopes:
         """Return how they change with the pose's heading and with the compass's offset."""
         slope = (1.0 / self.sigma)[:, None, None]
         offset = np.full((len(self), 1), 3 * len(state.poses))
@@ -127,14 +127,14 @@ class Places:
     def __len__(self) -> int:
         return len(self.pose)
 
-    def errors(self, state: State) -> Float64Array:
+    def errors(self, state: GraphState) -> Float64Array:
         """Return (K, 2) whitened residuals."""
         in_map = compose_poses(state.poses[self.pose], self._antenna(state))
         told = compose_poses(state.east_north_from_map, in_map)[:, :2]
         errors: Float64Array = (told - self.east_north) / self.sigma[:, None]
         return errors
 
-    def slopes(self, state: State) -> Slopes:
+    def slopes(self, state: GraphState) -> Slopes:
         """Return how they change with the pose, the datum and the lever arm."""
         antenna = self._antenna(state)
         antenna[:, 2] = 0.0
@@ -152,7 +152,7 @@ class Places:
             ),
         )
 
-    def _antenna(self, state: State) -> Float64Array:
+    def _antenna(self, state: GraphState) -> Float64Array:
         """Return (K, 3) places of the antenna in each pose's frame."""
         return compose_poses(self.motion, np.append(state.lever_arm, 0.0))
 

@@ -9,7 +9,7 @@ import numpy as np
 from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.stages.posegraph.equations import Equations
 from slamcli.stages.posegraph.measurements import Headings, Measured, Motions, Places, some_of
-from slamcli.stages.posegraph.state import ANCHOR_SIGMA, LOOSE_SIGMA, SensePrior, State
+from slamcli.stages.posegraph.state import ANCHOR_SIGMA, LOOSE_SIGMA, GraphState, SensorPrior
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,7 +23,7 @@ class Problem:
         What each factor counts beside one that errs independently of all others.
     anchors : (A,) int64
         Places of the poses that are held: at least one for all that hangs together.
-    prior : SensePrior
+    prior : SensorPrior
     """
 
     motions: Motions
@@ -31,7 +31,7 @@ class Problem:
     places: Places
     shares: Float64Array
     anchors: Int64Array
-    prior: SensePrior
+    prior: SensorPrior
 
     def __len__(self) -> int:
         return len(self.shares)
@@ -40,21 +40,21 @@ class Problem:
     def _kinds(self) -> tuple[Measured, ...]:
         return self.motions, self.headings, self.places
 
-    def squared_errors(self, state: State) -> Float64Array:
+    def squared_errors(self, state: GraphState) -> Float64Array:
         """Return (F,): every factor's squared residual, in its own variances."""
         return np.concatenate([np.sum(kind.errors(state) ** 2, axis=1) for kind in self._kinds])
 
-    def cost(self, state: State, weights: Float64Array) -> float:
+    def cost(self, state: GraphState, weights: Float64Array) -> float:
         """Return the weighted sum of squares that a solution makes least."""
         known = float(np.sum(self.prior.errors(state) ** 2))
         return float((weights * self.shares) @ self.squared_errors(state)) + known
 
-    def linearise(self, state: State, weights: Float64Array) -> Equations:
+    def linearise(self, state: GraphState, weights: Float64Array) -> Equations:
         """Return the normal equations at a state, each factor weighted; those at 0 leave no trace.
 
         Parameters
         ----------
-        state : State
+        state : GraphState
         weights : (F,) float64
         """
         count = len(state.poses)
@@ -81,7 +81,7 @@ class Problem:
 def _add(
     equations: Equations,
     measured: Measured,
-    state: State,
+    state: GraphState,
     weights: Float64Array,
 ) -> None:
     used = np.flatnonzero(weights)

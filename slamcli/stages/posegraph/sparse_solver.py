@@ -14,31 +14,31 @@ from scipy.special import chdtri
 
 from slamcli.core.arrays import BoolArray, Float64Array
 from slamcli.stages.posegraph.problem import Problem
-from slamcli.stages.posegraph.state import State
+from slamcli.stages.posegraph.state import GraphState
 
 # A true factor errs by more than the threshold once in ten thousand; a false one mostly by far. One
 # threshold for all, as for three numbers.
 INLIER_PROBABILITY = 0.9999
 THRESHOLD = float(chdtri(3, 1.0 - INLIER_PROBABILITY))
-_MOST_STEPS = 50
-_SMALLEST_GAIN = 1e-10
+_MAX_STEPS = 50
+_MIN_GAIN = 1e-10
 _FIRST_DAMPING = 1e-6
-_MOST_DAMPING = 1e12
+_MAX_DAMPING = 1e12
 # The paper tightens by 1.4, and solves to the end each time.
 _TIGHTENING = 1.7
 _STEPS_A_TIGHTENING = 2
-_MOST_TIGHTENINGS = 100
+_MAX_TIGHTENINGS = 100
 # A weight below this is none: its factor need not fill the equations.
-LEAST_WEIGHT = 1e-6
+MIN_WEIGHT = 1e-6
 _NEARLY_DECIDED = 1e-3
 
 
 def optimise(
-    problem: Problem, state: State, weights: Float64Array, most_steps: int = _MOST_STEPS
-) -> State:
+    problem: Problem, state: GraphState, weights: Float64Array, max_steps: int = _MAX_STEPS
+) -> GraphState:
     """Return the state of least weighted squares near a first one (Levenberg-Marquardt)."""
     cost, damping = problem.cost(state, weights), 0.0
-    for _ in range(most_steps):
+    for _ in range(max_steps):
         equations = problem.linearise(state, weights)
         rows, columns, values = equations.entries
         size = len(equations.gradient)
@@ -46,19 +46,19 @@ def optimise(
         while True:
             after = state.moved(_solved(hessian, -equations.gradient, damping))
             least = problem.cost(after, weights)
-            if least <= cost * (1.0 + _SMALLEST_GAIN) or damping > _MOST_DAMPING:
+            if least <= cost * (1.0 + _MIN_GAIN) or damping > _MAX_DAMPING:
                 break
             damping = max(_FIRST_DAMPING, 10.0 * damping)
         gain, cost, state = cost - least, least, after
         damping = 0.0 if damping <= _FIRST_DAMPING else 0.1 * damping
-        if gain <= _SMALLEST_GAIN * cost:
+        if gain <= _MIN_GAIN * cost:
             break
     return state
 
 
 def robust(
     problem: Problem,
-    state: State,
+    state: GraphState,
     suspects: BoolArray,
     held: BoolArray,
 ) -> BoolArray:
@@ -67,7 +67,7 @@ def robust(
     Parameters
     ----------
     problem : Problem
-    state : State
+    state : GraphState
         A first one.
     suspects : (F,) bool
         Factors that may be false.
@@ -80,11 +80,11 @@ def robust(
     if not ratio.size or ratio.max() <= 1.0:
         return np.ones(len(problem), np.bool_)
     control = 1.0 / (2.0 * float(ratio.max()) - 1.0)
-    for _ in range(_MOST_TIGHTENINGS):
+    for _ in range(_MAX_TIGHTENINGS):
         ratio = problem.squared_errors(state)[suspects] / THRESHOLD
         decided = _weights(ratio, control)
         weights[suspects] = decided
-        weights[held] = np.maximum(weights[held], LEAST_WEIGHT)
+        weights[held] = np.maximum(weights[held], MIN_WEIGHT)
         state = optimise(problem, state, weights, _STEPS_A_TIGHTENING)
         if np.all(np.minimum(decided, 1.0 - decided) < _NEARLY_DECIDED) and control > 1.0:
             break
@@ -98,7 +98,7 @@ def _weights(ratio: Float64Array, control: float) -> Float64Array:
     with np.errstate(divide="ignore"):
         between = np.sqrt(control * (control + 1.0) / ratio) - control
     weights = np.clip(np.where(ratio <= control / (control + 1.0), 1.0, between), 0.0, 1.0)
-    return np.where(weights < LEAST_WEIGHT, 0.0, weights)
+    return np.where(weights < MIN_WEIGHT, 0.0, weights)
 
 
 def _solved(hessian: sparse.csc_matrix, gradient: Float64Array, damping: float) -> Float64Array:

@@ -20,7 +20,7 @@ LOOSE_SIGMA = 1e4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
+class GraphState:
     """What is sought.
 
     Attributes
@@ -50,7 +50,7 @@ class State:
         """(2,) metres, ahead and to the left."""
         return self.senses[4:]
 
-    def moved(self, step: Float64Array) -> State:
+    def moved(self, step: Float64Array) -> GraphState:
         """Return the state after a step of the solver, (3 N + 6,)."""
         count = 3 * len(self.poses)
         poses = compose_poses(self.poses, step[:count].reshape(-1, 3))
@@ -62,17 +62,17 @@ class State:
                 self.lever_arm + lever,
             ]
         )
-        return State(poses, senses)
+        return GraphState(poses, senses)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SensePrior:
+class SensorPrior:
     """What is known of the senses' offsets before any reading of this graph, and how surely.
 
     Attributes
     ----------
     senses : (6,) float64
-        As in `State`.
+        As in `GraphState`.
     whitening : (6, 6) float64
         Turns what a state is off that, in its own axes, into one of unit covariance.
     told : bool
@@ -83,7 +83,7 @@ class SensePrior:
     whitening: Float64Array
     told: bool
 
-    def errors(self, state: State) -> Float64Array:
+    def errors(self, state: GraphState) -> Float64Array:
         """Return (6,): by how much a state is off, whitened."""
         off = state.senses - self.senses
         off[1:4] = relative_poses(self.senses[1:4], state.east_north_from_map)

@@ -17,16 +17,16 @@ import numpy as np
 from slamcli.core.arrays import BoolArray, Float64Array, Int32Array, IntpArray, UInt8Array
 
 # Smaller than this share of the picture a square cannot say much about the camera.
-_LEAST_AREA_SHARE = 0.0008
-_LEAST_AREA_PIXELS = 150.0
+_MIN_AREA_SHARE = 0.0008
+_MIN_AREA_PIXELS = 150.0
 _THRESHOLD_LEVELS = 14
 _OPENINGS_PIXELS = (0, 7, 15)
 _TOLERANCES = (0.02, 0.04, 0.08)
-_MOST_PIECES = 10
-_MOST_VERTICES = 40
+_MAX_PIECES = 10
+_MAX_VERTICES = 40
 _GLANCES_PER_SIDE = 6
 _SAMPLES_PER_SIDE = 24
-_LEAST_SUPPORT = 0.35
+_MIN_SUPPORT = 0.35
 # Two quadrilaterals are one when no corner differs by more than this share of their size.
 _SAME_SHARE = 0.06
 _SAME_AREA_SHARE = 0.03
@@ -51,13 +51,13 @@ def find_candidates(image: UInt8Array, most: int) -> tuple[Float64Array, Float64
     """
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), 1.2), dtype=np.uint8)
     height, width = image.shape
-    least_area = max(_LEAST_AREA_PIXELS, _LEAST_AREA_SHARE * width * height)
+    min_area = max(_MIN_AREA_PIXELS, _MIN_AREA_SHARE * width * height)
     outlines: dict[tuple[int, ...], Int32Array] = {}
     for binary in _binaries(smooth):
-        for outline in _outlines(binary, least_area):
+        for outline in _outlines(binary, min_area):
             outlines.setdefault(_rough_shape(outline), outline)
     found = [
-        quads for outline in outlines.values() for quads in _quads_of_outline(outline, least_area)
+        quads for outline in outlines.values() for quads in _quads_of_outline(outline, min_area)
     ]
     if not found:
         return np.empty((0, 4, 2)), np.empty(0)
@@ -67,7 +67,7 @@ def find_candidates(image: UInt8Array, most: int) -> tuple[Float64Array, Float64
     _, first = np.unique(np.rint(quads / 2.0).reshape(-1, 8), axis=0, return_index=True)
     quads = quads[np.sort(first)]
     # A glance at each, then a closer look at those that may do: most are nonsense.
-    quads = quads[edge_support(smooth, quads, _GLANCES_PER_SIDE) >= _LEAST_SUPPORT]
+    quads = quads[edge_support(smooth, quads, _GLANCES_PER_SIDE) >= _MIN_SUPPORT]
     supports = edge_support(smooth, quads, _SAMPLES_PER_SIDE)
     return _keep_distinct(quads, supports, most)
 
@@ -137,12 +137,12 @@ def _binaries(smooth: UInt8Array) -> Iterator[UInt8Array]:
                 yield mask
 
 
-def _outlines(binary: UInt8Array, least_area: float) -> list[Int32Array]:
+def _outlines(binary: UInt8Array, min_area: float) -> list[Int32Array]:
     contours, _ = cv2.findContours(binary, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     return [
         np.asarray(contour[:, 0], dtype=np.int32)
         for contour in contours
-        if cv2.contourArea(contour) >= least_area
+        if cv2.contourArea(contour) >= min_area
     ]
 
 
@@ -154,17 +154,17 @@ def _rough_shape(outline: Int32Array) -> tuple[int, ...]:
     return (*(np.concatenate([low, high]) // _SAME_BOX_PIXELS).tolist(), log_area, log_length)
 
 
-def _quads_of_outline(outline: Int32Array, least_area: float) -> Iterator[Float64Array]:
+def _quads_of_outline(outline: Int32Array, min_area: float) -> Iterator[Float64Array]:
     """Yield (N, 4, 2) convex quadrilaterals made of four straight pieces of one outline."""
     size = float(np.sqrt(cv2.contourArea(outline)))
     for tolerance in _TOLERANCES:
         epsilon = max(1.5, tolerance * size)
         vertices = cv2.approxPolyDP(outline, epsilon, True)[:, 0]  # noqa: FBT003
-        if not 4 <= len(vertices) <= _MOST_VERTICES:
+        if not 4 <= len(vertices) <= _MAX_VERTICES:
             continue
         lines = _fit_pieces(outline, np.asarray(vertices, dtype=np.int32))
         quads = _close_pieces(lines)
-        quads = quads[quad_area(quads) >= least_area]
+        quads = quads[quad_area(quads) >= min_area]
         if len(quads):
             yield quads
 
@@ -173,7 +173,7 @@ def _fit_pieces(outline: Int32Array, vertices: Int32Array) -> Float64Array:
     """Return (n, 3) lines fitted to the outline's points along its longest straight pieces."""
     cuts = _places_of(vertices, outline)
     counts = (np.roll(cuts, -1) - cuts) % len(outline)
-    pieces = np.sort(np.argsort(-counts, kind="stable")[:_MOST_PIECES])
+    pieces = np.sort(np.argsort(-counts, kind="stable")[:_MAX_PIECES])
     # The ends are rounded by blur and opening.
     firsts = cuts[pieces] + counts[pieces] // 10
     afters = cuts[pieces] + counts[pieces] - counts[pieces] // 10 + 1
@@ -260,7 +260,7 @@ def _keep_distinct(
     """Keep the best of each group of near-equal quadrilaterals, large before small at a tie."""
     ranking = supports * quad_area(quads) ** 0.1
     order = np.argsort(-ranking, kind="stable")
-    order = order[supports[order] >= _LEAST_SUPPORT]
+    order = order[supports[order] >= _MIN_SUPPORT]
     kept: list[int] = []
     while len(order) and len(kept) < most:
         best, order = order[0], order[1:]

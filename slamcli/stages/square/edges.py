@@ -22,13 +22,13 @@ from slamcli.stages.square.candidates import intersect, is_convex, line_through,
 from slamcli.stages.square.lines import Side, fit_side, fit_side_robustly, ransac_weights
 
 _PROFILE_STEP_PIXELS = 0.5
-_MOST_PROFILES = 400
-_LEAST_PROFILES = 12
+_MAX_PROFILES = 400
+_MIN_PROFILES = 12
 _COARSE_BOX_PIXELS = 2.0
 _FINE_ROUNDS = 3
 # Beyond the transition, so many pixels on either side tell the two levels.
 _LEVEL_PIXELS = 3.0
-_LEAST_INLIER_SHARE = 0.4
+_MIN_INLIER_SHARE = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +100,7 @@ def refine_quad(
                 side = _coarse_side(image, quad, index, lens, window, polarity)
             else:
                 side = _fine_side(image, quad, index, lens, window, polarity)
-            if side is None or side.support < _LEAST_INLIER_SHARE:
+            if side is None or side.support < _MIN_INLIER_SHARE:
                 return None
             sides.append(side)
         lines = np.array([side.line for side in sides])
@@ -148,7 +148,7 @@ def _read_profiles(
     """Sample across one side, clear of the corners and of the neighbouring sides."""
     start, end = quad[index], quad[(index + 1) % 4]
     length = float(np.linalg.norm(end - start))
-    count = int(np.clip(length, _LEAST_PROFILES, _MOST_PROFILES))
+    count = int(np.clip(length, _MIN_PROFILES, _MAX_PROFILES))
     steps = np.linspace(0.03, 0.97, count)
     points = start + (end - start) * steps[:, None]
     outward = np.array([end[1] - start[1], start[0] - end[0]]) / length
@@ -169,7 +169,7 @@ def _read_profiles(
         line = line_through(quad[other], quad[(other + 1) % 4])
         clear &= innermost @ line[:2] + line[2] < -1.5
     usable = inside & clear
-    if usable.sum() < _LEAST_PROFILES // 2:
+    if usable.sum() < _MIN_PROFILES // 2:
         return None
     return _Profiles(origins, normals, offsets, np.asarray(values, dtype=np.float64), usable)
 
@@ -213,7 +213,7 @@ def _coarse_side(
     offsets = profiles.offsets[best + width]
     typical = float(np.median(height[profiles.usable]))
     good = profiles.usable & (height > 0.4 * typical) & (height > 2.0)
-    if good.sum() < _LEAST_PROFILES // 2:
+    if good.sum() < _MIN_PROFILES // 2:
         return None
     edge = profiles.origins + profiles.normals * offsets[:, None]
     points = projection.undistort_points(lens, edge)[good]
@@ -244,13 +244,13 @@ def _fine_side(
     if typical < 2.0:
         return None
     good = profiles.usable & (contrast > 0.6 * typical) & (contrast < 1.6 * typical)
-    if good.sum() < _LEAST_PROFILES // 2:
+    if good.sum() < _MIN_PROFILES // 2:
         return None
     core = profiles.values[:, levels:-levels]
     share = (core - outside[:, None])[good] / (inside - outside)[good, None]
     position = _locate(share, profiles.offsets[levels:-levels])
     near = np.abs(position) < window
-    if near.sum() < _LEAST_PROFILES // 2:
+    if near.sum() < _MIN_PROFILES // 2:
         return None
     edge = (profiles.origins[good] + profiles.normals[good] * position[:, None])[near]
     points = projection.undistort_points(lens, edge)

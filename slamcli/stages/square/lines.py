@@ -11,12 +11,12 @@ from slamcli.core.arrays import Float64Array
 from slamcli.stages.square.candidates import line_through
 
 _TUKEY = 4.685
-_LEAST_SCALE_PIXELS = 0.03
+_MIN_SCALE_PIXELS = 0.03
 _REWEIGHTINGS = 6
 _RANSAC_DRAWS = 80
 # What rendering, demosaicking and gamma leave as a common shift of a whole side, one sigma.
 _SYSTEMATIC_PIXELS = 0.02
-_MOST_CORRELATED_PROFILES = 30
+_MAX_CORRELATED_PROFILES = 30
 # One sigma of how a lens that nobody calibrated bends a line right across the picture, as a share
 # of its width; the sagitta grows with the square of the length.
 _USUAL_BOW = 0.0005
@@ -106,7 +106,7 @@ def fit_side_robustly(
     for _ in range(_REWEIGHTINGS):
         centre, direction = _fit_line(points, weights)
         distance = (points - centre) @ np.array([direction[1], -direction[0]])
-        scale = max(1.4826 * float(np.median(np.abs(distance))), _LEAST_SCALE_PIXELS)
+        scale = max(1.4826 * float(np.median(np.abs(distance))), _MIN_SCALE_PIXELS)
         weights = np.clip(1.0 - (distance / (_TUKEY * scale)) ** 2, 0.0, None) ** 2
     return fit_side(points, weights, total, contrast, width_pixels)
 
@@ -154,7 +154,7 @@ def _correlated_neighbours(residuals: Float64Array, weights: Float64Array) -> fl
     weighted = residuals * weights
     power = float(weighted @ weighted)
     total = 1.0
-    for lag in range(1, min(_MOST_CORRELATED_PROFILES, len(residuals) // 3)):
+    for lag in range(1, min(_MAX_CORRELATED_PROFILES, len(residuals) // 3)):
         correlation = float(weighted[lag:] @ weighted[:-lag]) / max(power, 1e-12)
         if correlation <= 0.0:
             break

@@ -19,13 +19,13 @@ from slamcli.stages.square.edges import EdgedQuad, inner_radius, refine_quad
 Judge = Callable[[Float64Array], float]
 
 _SEARCH_WIDTH_PIXELS = 960
-_MOST_CANDIDATES = 40
+_MAX_CANDIDATES = 40
 _REACH_PIXELS = 6.0
-_LEAST_SUPPORT = 0.45
-_LEAST_SCORE = 0.03
+_MIN_SUPPORT = 0.45
+_MIN_SCORE = 0.03
 # A second square that scores this much of the first is worth telling of.
 _RUNNER_UP_SHARE = 0.5
-_LEAST_RADIUS_PIXELS = 4.0
+_MIN_RADIUS_PIXELS = 4.0
 _FULL_CONTRAST_GRAY = 40.0
 _FULL_SHARE = 0.1
 _COLOURED_GRAY_LEVELS = 25.0
@@ -114,21 +114,21 @@ def _squares_in(plane: UInt8Array, lens: Lens, judge: Judge) -> list[Square]:
     if shrink > 1.0:
         size = (round(width / shrink), round(height / shrink))
         small = np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    quads, supports = find_candidates(small, _MOST_CANDIDATES)
+    quads, supports = find_candidates(small, _MAX_CANDIDATES)
     exact = plane.astype(np.float32)
     found: list[Square] = []
     for quad, support in zip(_enlarge(quads, shrink), supports, strict=True):
         undistorted = projection.undistort_points(lens, quad)
-        if support < _LEAST_SUPPORT or inner_radius(undistorted) < _LEAST_RADIUS_PIXELS:
+        if support < _MIN_SUPPORT or inner_radius(undistorted) < _MIN_RADIUS_PIXELS:
             continue
         edged = refine_quad(exact, undistorted, lens, _REACH_PIXELS * shrink)
-        if edged is None or edged.support < _LEAST_SUPPORT:
+        if edged is None or edged.support < _MIN_SUPPORT:
             continue
         corners = projection.distort_points(lens, edged.corners)
         if np.any(corners < 0) or np.any(corners > (width - 1, height - 1)):
             continue
         score = _score(edged, width * height, judge)
-        if score >= _LEAST_SCORE:
+        if score >= _MIN_SCORE:
             found.append(_from_upper_left(corners, edged, score))
     return _distinct(found)
 

@@ -88,13 +88,13 @@ def test_a_raster_is_projected_like_its_points_and_never_from_behind() -> None:
     )
     grid = projection.footprint(calibration, 0.02).window(-60, -20, 160, 140)
     robot_from_grid = Pose2(0.1, -0.05, 0.2)
-    sharpness = projection.sharpness_image(calibration)
-    mapping = projection.sampling_map(calibration, sharpness, grid, robot_from_grid)
+    pixels_per_metre = projection.resolution_image(calibration)
+    mapping = projection.sampling_map(calibration, pixels_per_metre, grid, robot_from_grid)
     columns, rows = np.meshgrid(np.arange(grid.width), np.arange(grid.height))
     inside = np.column_stack([columns.ravel(), rows.ravel()])
     floor = robot_from_grid.apply(apply_homography(grid.metres_from_pixel, inside))
     pixels, seen = projection.project_floor(calibration, floor)
-    drawn = mapping.sharpness.ravel() > 0
+    drawn = mapping.pixels_per_metre.ravel() > 0
     # Interpolation may count a pixel in that lies on the very border.
     assert np.count_nonzero(drawn != seen) < 0.02 * len(seen)
     assert 0.1 < seen.mean() < 0.9
@@ -103,7 +103,7 @@ def test_a_raster_is_projected_like_its_points_and_never_from_behind() -> None:
     np.testing.assert_allclose(mapped[both], pixels[both], atol=1e-3)
     assert floor[drawn, 0].min() > 0
     sampling = np.sqrt(np.prod(projection.floor_sampling(calibration, floor[both]), axis=1))
-    ratio = mapping.sharpness.ravel()[both] * sampling
+    ratio = mapping.pixels_per_metre.ravel()[both] * sampling
     assert np.median(ratio) == pytest.approx(1.0, abs=0.01)
 
 

@@ -19,7 +19,7 @@ from click.testing import CliRunner
 import slamcli
 from slamcli.cli.main import main
 from slamcli.core.geometry import Pose2, pose_array
-from slamcli.core.records import Link, Prepared
+from slamcli.core.records import Link, PreparedFrame
 from slamcli.core.telemetry import (
     CompassReading,
     GpsReading,
@@ -28,8 +28,8 @@ from slamcli.core.telemetry import (
 )
 from slamcli.io.telemetry import write_gps
 from slamcli.io.trajectories import read_trajectory
-from slamcli.mapping.backend.backend import Graph
-from slamcli.mapping.backend.sensors import Senses
+from slamcli.mapping.backend.backend import Backend
+from slamcli.mapping.backend.sensors import Sensors
 from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import CameraOptions, DisturbanceOptions, SimulationOptions
 from slamcli.simulation.drive import geodetic_from_local
@@ -50,18 +50,18 @@ def winding(count: int, step: float) -> list[Pose2]:
 
 def drive(
     truth: list[Pose2],
-    senses: Senses,
+    sensors: Sensors,
     seed: int,
     sigma: float,
     breaks: tuple[int, ...] = (),
     lost: tuple[int, ...] = (),
-) -> Graph:
+) -> Backend:
     """Steps with that noise (m, rad); at a break a new map begins, and lost frames show nothing."""
     generator = np.random.default_rng(seed)
-    graph = Graph(senses)
+    graph = Backend(sensors)
     before: int | None = None
     for index, pose in enumerate(truth):
-        frame = Prepared(index, str(index), index / RATE_HERTZ, None, None, "")
+        frame = PreparedFrame(index, str(index), index / RATE_HERTZ, None, None, "")
         if index in lost:
             graph.lose(frame, "shows nothing")
             before = None
@@ -78,7 +78,7 @@ def drive(
 
 
 def feel_gps(
-    senses: Senses,
+    sensors: Sensors,
     truth: list[Pose2],
     generator: np.random.Generator,
     sigma: float,
@@ -93,20 +93,20 @@ def feel_gps(
     bearings = generator.uniform(0.0, math.tau, len(truth))
     places[bad] += 20.0 * np.column_stack([np.cos(bearings), np.sin(bearings)])[bad]
     for index, place in enumerate(geodetic_from_local(places, DATUM).tolist()):
-        senses.gps(GpsReading(index / RATE_HERTZ, *place, sigma))
+        sensors.gps(GpsReading(index / RATE_HERTZ, *place, sigma))
 
 
 def feel_compass(
-    senses: Senses, truth: list[Pose2], generator: np.random.Generator, disturbed: slice
+    sensors: Sensors, truth: list[Pose2], generator: np.random.Generator, disturbed: slice
 ) -> None:
     headings = EARTH_FROM_MAP.theta + np.array([pose.theta for pose in truth])
     headings = headings + math.radians(4) + math.radians(3) * generator.standard_normal(len(truth))
     headings[disturbed] += math.radians(30)
     for index, heading in enumerate(headings.tolist()):
-        senses.compass(CompassReading(index / RATE_HERTZ, heading, math.radians(3)))
+        sensors.compass(CompassReading(index / RATE_HERTZ, heading, math.radians(3)))
 
 
-def rmse(graph: Graph, truth: list[Pose2]) -> float:
+def rmse(graph: Backend, truth: list[Pose2]) -> float:
     """Root mean square distance after the best rigid alignment, metres."""
     found = pose_array([graph.pose(i) for i in range(len(truth))])[:, :2] @ (1.0, 1j)
     known = pose_array(truth)[:, :2] @ (1.0, 1j)
@@ -115,7 +115,7 @@ def rmse(graph: Graph, truth: list[Pose2]) -> float:
     return float(np.sqrt(np.mean(np.abs(np.exp(1j * turn) * found - known) ** 2)))
 
 
-def earth_errors(graph: Graph, truth: list[Pose2]) -> np.ndarray:
+def earth_errors(graph: Backend, truth: list[Pose2]) -> np.ndarray:
     """How far from where they are on Earth the frames of fragment 0 are put, metres."""
     reference = graph.georeferences[0]
     places = [reference.east_north_from_map @ graph.pose(i) for i in range(len(truth))]
@@ -138,12 +138,12 @@ def test_gps_and_compass_survive_outliers_and_place_the_map_on_earth() -> None:
     truth = winding(334, 0.3)
     for sigma in (0.001, 0.008):
         generator = np.random.default_rng(7)
-        alone = drive(truth, Senses(), 1, sigma)
+        alone = drive(truth, Sensors(), 1, sigma)
         alone.solve()
-        senses = Senses()
-        fused = drive(truth, senses, 1, sigma)
-        feel_gps(senses, truth, generator, 2.0, outliers=0.1)
-        feel_compass(senses, truth, generator, slice(100, 150))
+        sensors = Sensors()
+        fused = drive(truth, sensors, 1, sigma)
+        feel_gps(sensors, truth, generator, 2.0, outliers=0.1)
+        feel_compass(sensors, truth, generator, slice(100, 150))
         fused.solve()
         assert rmse(fused, truth) <= 1.1 * rmse(alone, truth)
         errors = earth_errors(fused, truth)
@@ -167,10 +167,10 @@ def test_fused_with_gps_and_compass_a_drive_is_as_good_as_by_vision_alone() -> N
     ratios = []
     for seed in range(8):
         generator = np.random.default_rng(100 + seed)
-        senses = Senses()
-        alone, fused = (drive(truth, felt, seed, 0.0003) for felt in (Senses(), senses))
-        feel_gps(senses, truth, generator, 2.0, outliers=0.1)
-        feel_compass(senses, truth, generator, slice(100, 150))
+        sensors = Sensors()
+        alone, fused = (drive(truth, felt, seed, 0.0003) for felt in (Sensors(), sensors))
+        feel_gps(sensors, truth, generator, 2.0, outliers=0.1)
+        feel_compass(sensors, truth, generator, slice(100, 150))
         alone.solve()
         fused.solve()
         ratios.append(rmse(fused, truth) / rmse(alone, truth))
@@ -183,10 +183,10 @@ def test_a_large_map_is_corrected_at_a_cost_that_stays_flat(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     truth = winding(900, 0.1)
-    senses = Senses()
+    sensors = Sensors()
     generator = np.random.default_rng(7)
-    feel_gps(senses, truth, generator, 1.0, outliers=0.05)
-    feel_compass(senses, truth, generator, slice(0, 0))
+    feel_gps(sensors, truth, generator, 1.0, outliers=0.05)
+    feel_compass(sensors, truth, generator, slice(0, 0))
     sizes: list[int] = []
     solve = posegraph.solve
 
@@ -195,7 +195,7 @@ def test_a_large_map_is_corrected_at_a_cost_that_stays_flat(
         return solve(initial, *given, **told)
 
     monkeypatch.setattr(posegraph, "solve", counted)
-    streamed = drive(truth, senses, 1, 0.001)
+    streamed = drive(truth, sensors, 1, 0.001)
     assert max(sizes) < 500, "a large map is not solved as a whole before the end"
     assert sizes[-5:] == [51] * 5
     windows = streamed.georeferences[0]
@@ -221,9 +221,9 @@ def test_the_antenna_is_found_on_the_robot() -> None:
     for index in range(150):
         truth.append(truth[-1] @ Pose2(0.2, 0.0, 0.3 * math.sin(0.15 * index)))
     lever = Pose2(0.4, -0.25)
-    senses = Senses(TelemetryOptions(lever_arm_metres=None))
-    feel_gps(senses, truth, np.random.default_rng(3), 0.05, lever=lever)
-    graph = drive(truth, senses, 0, 0.001)
+    sensors = Sensors(TelemetryOptions(lever_arm_metres=None))
+    feel_gps(sensors, truth, np.random.default_rng(3), 0.05, lever=lever)
+    graph = drive(truth, sensors, 0, 0.001)
     graph.solve()
     assert graph.georeferences[0].lever_arm_metres == pytest.approx((0.4, -0.25), abs=0.06)
 
@@ -232,10 +232,10 @@ def test_a_compass_alone_holds_the_heading() -> None:
     truth = winding(300, 0.2)
     errors = []
     for fused in (False, True):
-        senses = Senses()
+        sensors = Sensors()
         if fused:
-            feel_compass(senses, truth, np.random.default_rng(5), slice(0, 0))
-        graph = drive(truth, senses, 4, 0.01)
+            feel_compass(sensors, truth, np.random.default_rng(5), slice(0, 0))
+        graph = drive(truth, sensors, 4, 0.01)
         graph.solve()
         errors.append(rmse(graph, truth))
         assert not graph.georeferences
@@ -245,20 +245,20 @@ def test_a_compass_alone_holds_the_heading() -> None:
 def test_odometry_ties_what_lies_on_both_sides_of_a_gap() -> None:
     truth = winding(60, 0.1)
     lost = tuple(range(20, 40))
-    apart = drive(truth, Senses(), 0, 0.001, lost=lost)
+    apart = drive(truth, Sensors(), 0, 0.001, lost=lost)
     apart.solve()
     assert {e.fragment for e in apart.estimates if e.map_from_robot} == {0, 1}
     for fed_before in (True, False):
-        senses = Senses()
+        sensors = Sensors()
         readings = [
             OdometryReading(i / RATE_HERTZ, Pose2(5.0, 1.0, 2.0) @ pose)
             for i, pose in enumerate(truth)
         ]
         for reading in readings if fed_before else []:
-            senses.odometry(reading)
-        graph = drive(truth, senses, 0, 0.001, lost=lost)
+            sensors.odometry(reading)
+        graph = drive(truth, sensors, 0, 0.001, lost=lost)
         for reading in readings:
-            senses.odometry(reading)
+            sensors.odometry(reading)
         if fed_before:
             assert [graph[i].status for i in lost] == ["predicted"] * 20
         graph.solve()
@@ -274,9 +274,9 @@ def test_odometry_ties_what_lies_on_both_sides_of_a_gap() -> None:
 
 def test_gps_ties_fragments_that_share_nothing() -> None:
     truth = winding(240, 0.3)
-    senses = Senses()
-    feel_gps(senses, truth, np.random.default_rng(1), 0.5)
-    graph = drive(truth, senses, 0, 0.001, breaks=(120,))
+    sensors = Sensors()
+    feel_gps(sensors, truth, np.random.default_rng(1), 0.5)
+    graph = drive(truth, sensors, 0, 0.001, breaks=(120,))
     graph.solve()
     assert {e.fragment for e in graph.estimates} == {0}
     assert rmse(graph, truth) < 0.4
@@ -284,11 +284,11 @@ def test_gps_ties_fragments_that_share_nothing() -> None:
 
 def test_a_disturbed_odometry_does_not_move_what_the_frames_show() -> None:
     truth = winding(60, 0.1)
-    senses = Senses()
+    sensors = Sensors()
     for index, pose in enumerate(truth):
         slipped = Pose2(1.5 if index > 30 else 0.0) @ pose
-        senses.odometry(OdometryReading(index / RATE_HERTZ, slipped))
-    graph = drive(truth, senses, 0, 0.001)
+        sensors.odometry(OdometryReading(index / RATE_HERTZ, slipped))
+    graph = drive(truth, sensors, 0, 0.001)
     graph.solve()
     assert rmse(graph, truth) < 0.02
 
@@ -401,20 +401,20 @@ def stitch(folder: Path, output: Path, *options: str) -> str:
 
 
 def test_stitch_takes_what_the_robot_felt(drive_folder: Path, tmp_path: Path) -> None:
-    # Survey-grade, as the drive is short.
+    # BundleRound-grade, as the drive is short.
     truth = read_trajectory(drive_folder / "truth.csv")
     assert truth.stamps is not None
     exact = geodetic_from_local(truth.poses[:, :2], DATUM)
     write_gps(tmp_path / "gps.csv", truth.stamps.tolist(), exact, 0.01)
-    senses = [f"--{name}={drive_folder / name}.csv" for name in ("odometry", "compass")]
-    senses += [f"--gps={tmp_path / 'gps.csv'}", "--time-offset", "auto"]
+    sensors = [f"--{name}={drive_folder / name}.csv" for name in ("odometry", "compass")]
+    sensors += [f"--gps={tmp_path / 'gps.csv'}", "--time-offset", "auto"]
     frames = tmp_path / "drive" / "frames"
     shutil.copytree(drive_folder / "frames", frames)
     shutil.copy(drive_folder / "camera.yaml", frames.parent)
     (frames / "0012.jpg").write_bytes(b"no picture")
     output = tmp_path / "out"
-    senses += ["--format", "png,geotiff"]
-    told = stitch(frames.parent, output, *senses, "--export", "geojson,links,g2o")
+    sensors += ["--format", "png,geotiff"]
+    told = stitch(frames.parent, output, *sensors, "--export", "geojson,links,g2o")
     assert told.startswith("0"), told
     run = tomllib.loads((output / "run.toml").read_text())
     assert run["georeference"]["gps_readings"] >= 22

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Link, Prepared
-from slamcli.mapping.backend.backend import Graph
+from slamcli.core.records import Link, PreparedFrame
+from slamcli.mapping.backend.backend import Backend
 from slamcli.stages import posegraph
 
 SIGMA = 0.0005
@@ -24,10 +24,10 @@ def there_and_back(count: int) -> list[Pose2]:
     return out + [Pose2(0.1 * n, 0.05, math.pi) for n in reversed(range(count))]
 
 
-def drive(truth: list[Pose2], loops: dict[int, int]) -> Graph:
+def drive(truth: list[Pose2], loops: dict[int, int]) -> Backend:
     """Steps with noise, and a loop from some frames on the way back to those on the way out."""
     generator = np.random.default_rng(4)
-    graph = Graph()
+    graph = Backend()
 
     def link(a: int, b: int, kind: Any) -> Link:
         error = Pose2(*generator.normal(0.0, SIGMA, 3))
@@ -35,7 +35,7 @@ def drive(truth: list[Pose2], loops: dict[int, int]) -> Graph:
         return Link(a, b, motion, SIGMA**2 * np.eye(3), 50, 0.9, kind)
 
     for index in range(len(truth)):
-        frame = Prepared(index, str(index), None, None, None, "")
+        frame = PreparedFrame(index, str(index), None, None, None, "")
         if index == 0:
             graph.begin_fragment(frame)
             continue
@@ -45,7 +45,7 @@ def drive(truth: list[Pose2], loops: dict[int, int]) -> Graph:
     return graph
 
 
-def errors(graph: Graph, truth: list[Pose2]) -> np.ndarray:
+def errors(graph: Backend, truth: list[Pose2]) -> np.ndarray:
     return np.array([(t.inverse() @ graph.pose(i)).translation_length for i, t in enumerate(truth)])
 
 

@@ -67,14 +67,14 @@ def pair_of(kind, boxes, disturbances):
     return pair
 
 
-def standing_of(pair, tilt_degrees=0.1):
+def obstacles_of(pair, tilt_degrees=0.1):
     first, second = pair.prepared
     refined = dense.refine(
         first.levels, second.levels, MOTION, CALIBRATION, math.radians(tilt_degrees)
     )
     assert refined is not None
     warp = refined.view_a_from_view_b
-    return dense.standing(first.levels, second.levels, warp, CALIBRATION), warp
+    return dense.obstacles(first.levels, second.levels, warp, CALIBRATION), warp
 
 
 def near_things(pair, warp, marks):
@@ -96,7 +96,7 @@ def near_things(pair, warp, marks):
 
 def test_boxes_are_marked_and_the_floor_is_not():
     pair = pair_of("asphalt", BOXES, ROCKING)
-    marks, warp = standing_of(pair)
+    marks, warp = obstacles_of(pair)
     near = near_things(pair, warp, marks)
     assert np.count_nonzero(marks.unlike) >= 10
     assert np.count_nonzero(marks.unlike & near) >= 0.9 * np.count_nonzero(marks.unlike)
@@ -110,14 +110,14 @@ def test_boxes_are_marked_and_the_floor_is_not():
 @pytest.mark.parametrize("kind", ["asphalt", "course"])
 def test_nothing_stands_on_an_empty_floor(kind):
     rough = DisturbanceOptions(flicker=0.4, vignetting=0.3, rocking_degrees=0.2, noise_gray=4.0)
-    marks, _ = standing_of(pair_of(kind, (), rough), 0.2)
+    marks, _ = obstacles_of(pair_of(kind, (), rough), 0.2)
     assert np.count_nonzero(marks.judged) > 100
     assert np.count_nonzero(marks.unlike) <= 0.01 * np.count_nonzero(marks.judged)
 
 
 def test_points_are_looked_up_in_their_own_cells():
     pair = pair_of("asphalt", BOXES, ROCKING)
-    marks, _ = standing_of(pair)
+    marks, _ = obstacles_of(pair)
     row, column = np.argwhere(marks.unlike)[0]
     centres = np.array([[column, row, 1.0], [column + 0.4, row - 0.4, 1.0]])
     points = (centres @ np.linalg.inv(marks.cells_from_metres).T)[:, :2]
@@ -137,7 +137,7 @@ def test_match_draws_what_stands(tmp_path):
     result = CliRunner().invoke(main, [*map(str, arguments), "--json"], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     facts = json.loads(result.stdout)
-    assert min(facts["standing"]["cells"]) >= 10
+    assert min(facts["obstacles"]["cells"]) >= 10
     assert facts["first_from_second"]["x"] == pytest.approx(MOTION.x, abs=0.004)
     said = CliRunner().invoke(main, [*map(str, arguments), "--overwrite"])
     assert "seems to stand on the floor" in said.stdout

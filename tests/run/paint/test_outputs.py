@@ -26,7 +26,7 @@ from slamcli.io.frames import list_frames, read_frame
 from slamcli.io.raster import deepzoom, geotiff, world_file
 from slamcli.io.raster.tile_store import TileStore
 from slamcli.run.paint import frame_cache, thumbnails
-from slamcli.stages.mosaic.sampling import Picture
+from slamcli.stages.mosaic.sampling import SourceImage
 
 rasterio = pytest.importorskip("rasterio")
 warp = pytest.importorskip("rasterio.warp")
@@ -245,24 +245,24 @@ def test_pictures_get_what_the_process_leaves_of_the_memory(
         pages = tmp_path / f"{megabytes}"
         pages.write_text(f"9 {megabytes * 1_000_000 // os.sysconf('SC_PAGE_SIZE')} 9")
         monkeypatch.setattr(frame_cache, "_RESIDENT", pages)
-        held[megabytes] = frame_cache.most_pictures(1_000_000, 200_000_000, 20_000_000, 2)
+        held[megabytes] = frame_cache.max_pictures(1_000_000, 200_000_000, 20_000_000, 2)
     assert held[0] == 180
     assert held[60] == pytest.approx(120, abs=1)
     assert 0 < held[190] < 10
     monkeypatch.setattr(frame_cache, "_RESIDENT", tmp_path / "nowhere")
-    assert frame_cache.most_pictures(1_000_000, 200_000_000, 20_000_000, 2) == 180
+    assert frame_cache.max_pictures(1_000_000, 200_000_000, 20_000_000, 2) == 180
 
 
 def test_a_picture_leaves_memory_with_the_last_tile_that_needs_it() -> None:
     needed = [[0, 1, 2], [2, 3], [1, 3, 4]]
-    assert frame_cache.most_at_once(needed) == 3
+    assert frame_cache.max_at_once(needed) == 3
     made: list[int] = []
 
-    def make(number: int) -> Picture:
+    def make(number: int) -> SourceImage:
         made.append(number)
-        return Picture((), 0, np.zeros((1, 1), np.uint8), 1.0, None)
+        return SourceImage((), 0, np.zeros((1, 1), np.uint8), 1.0, None)
 
-    kept = frame_cache.Pictures(make, 9, {0: 1, 1: 2, 2: 2, 3: 2, 4: 1})
+    kept = frame_cache.FrameCache(make, 9, {0: 1, 1: 2, 2: 2, 3: 2, 4: 1})
     for numbers in needed:
         for number in numbers:
             kept(number)
@@ -280,10 +280,10 @@ def test_a_glimpse_that_was_kept_is_what_reading_the_frame_again_gives(
         noise = np.random.default_rng(index).integers(0, 256, (50, 70, 3), np.uint8)
         cv2.imwrite(str(tmp_path / f"{index}.jpg"), noise)
     files = list_frames([tmp_path])
-    kept = thumbnails.Glimpses()
+    kept = thumbnails.Thumbnails()
     small = thumbnails.read_glimpse(files[0])
     assert small.shape == (13, 18)
-    monkeypatch.setattr(thumbnails, "_MOST_BYTES", 2 * small.nbytes)
+    monkeypatch.setattr(thumbnails, "_MAX_BYTES", 2 * small.nbytes)
     for file in files:
         kept.keep(read_frame(file, gray=True))
     for file in files[:2]:
@@ -391,13 +391,13 @@ def test_a_state_cannot_bring_foreign_code(tmp_path: Path) -> None:
 def test_a_store_takes_only_what_was_seen_and_finds_it_again(tmp_path: Path) -> None:
     side, scale = 512, 0.01
     image = np.random.default_rng(0).integers(0, 255, (side, side, 3), dtype=np.uint8)
-    sharpness = np.zeros((side, side), np.float32)
-    sharpness[10:60, 20:90] = 100.0
+    pixels_per_metre = np.zeros((side, side), np.float32)
+    pixels_per_metre[10:60, 20:90] = 100.0
     views, latest = np.ones((side, side), np.uint16), np.zeros((side, side), np.int32)
     grid = Grid(0.0, 0.0, scale, side, side)
     store = TileStore(tmp_path, side, ("views",))
-    store.put(0, 0, Tile(grid, image, sharpness, None, views, latest))
-    store.put(-3, 200000, Tile(grid, image, sharpness, None, views, latest))
+    store.put(0, 0, Tile(grid, image, pixels_per_metre, None, views, latest))
+    store.put(-3, 200000, Tile(grid, image, pixels_per_metre, None, views, latest))
     store.put(5, 5, None)
     again = TileStore(tmp_path, side, ("views",))
     assert again.places() == [(-3, 200000), (0, 0)]
