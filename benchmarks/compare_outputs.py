@@ -4,9 +4,11 @@
     python benchmarks/compare_outputs.py record after/      # in the new one, same packages
     python benchmarks/compare_outputs.py compare before/ after/
 
+Names of commands after the folder record these alone (and `calibrate`, which the others need).
+
 `record` runs the commands below on the samples, with the package that this Python has installed,
-and keeps what they write and print. `compare` names every file that differs by a byte; it exits 1
-when there is one. Run times are left out of the comparison. Some three minutes on two processors.
+and keeps what they write and print. `compare` names every file that differs by a byte, among what
+both recorded; it exits 1 when there is one. Run times are left out. Some three minutes for all.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Collection
 from pathlib import Path
 
 SAMPLES = Path(__file__).resolve().parent.parent / "samples"
@@ -52,7 +55,7 @@ COMMANDS = [
 ]
 
 
-def record(folder: Path) -> None:
+def record(folder: Path, only: Collection[str] = ()) -> None:
     """Run every command in a new folder, and keep what it prints and its exit code."""
     folder.mkdir(parents=True)
     for path in (*(SAMPLES / "course").iterdir(), SAMPLES / "appendix_a"):
@@ -68,6 +71,8 @@ def record(folder: Path) -> None:
     ).stdout
     obstacles = "obstacles" if "--obstacles" in told else "standing"
     for name, arguments in COMMANDS:
+        if only and name not in {"calibrate", *only}:
+            continue
         words = arguments.format(obstacles=obstacles).split()
         done = subprocess.run(
             [sys.executable, "-m", "slamcli", *words],
@@ -95,8 +100,18 @@ def compare(before: Path, after: Path) -> int:
         for path in folder.rglob("*")
         if path.is_file()
     }
+    recorded = [{path.stem for path in folder.glob("*.txt")} for folder in (before, after)]
+    missing = {command for command, _ in COMMANDS} - (recorded[0] & recorded[1])
+    folders = {
+        words.split()[words.split().index("-o") + 1]: command
+        for command, words in COMMANDS
+        if "-o" in words.split()
+    } | {"drive": "simulate"}
     differing = 0
     for name in sorted(names):
+        top = name.split("/")[0]
+        if folders.get(top, top.removesuffix(".txt")) in missing:
+            continue
         there = [folder / name for folder in (before, after)]
         if not all(path.exists() for path in there):
             print(f"only in {before if there[0].exists() else after}: {name}")
@@ -110,8 +125,8 @@ def compare(before: Path, after: Path) -> int:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) == 3 and sys.argv[1] == "record":
-        record(Path(sys.argv[2]).resolve())
+    if len(sys.argv) >= 3 and sys.argv[1] == "record":
+        record(Path(sys.argv[2]).resolve(), sys.argv[3:])
     elif len(sys.argv) == 4 and sys.argv[1] == "compare":
         sys.exit(compare(Path(sys.argv[2]), Path(sys.argv[3])))
     else:

@@ -31,7 +31,7 @@ product_options = stacked(
     click.option(
         "--obstacles/--no-obstacles",
         default=_PRODUCTS.paint.obstacles,
-        help="Keep what stands or moves on the floor out of it, in obstacles.png [default], or not.",
+        help="Keep what is not floor out of the map, in obstacles.png [default], or not.",
     ),
     click.option(
         "--format",
