@@ -137,7 +137,7 @@ def stream(world: World, graph: Backend) -> list[float]:
         else:
             graph.begin_fragment(prepared)
         if loops:
-            graph.tie(number, loops)
+            graph.add_links(number, loops)
         costs.append(time.process_time() - started)
     return costs
 

@@ -124,12 +124,12 @@ def test_without_loops_a_drive_is_a_chain(photographer: photograph.Photographer)
 def test_a_motion_that_the_poses_contradict_is_not_believed(circle: slamcli.Mapper) -> None:
     """The pixels say where the frames are; poses that are sure of another place say no."""
     kept = circle._loops
-    honest = list(kept.close(_graph_of(circle, CIRCLE, loops=False)))
+    honest = list(kept.find_loops(_graph_of(circle, CIRCLE, loops=False)))
     assert honest
     shifted = [pose if n < 13 else Pose2(0.3) @ pose for n, pose in enumerate(CIRCLE)]
     kept._failed.clear()
     graph = _graph_of(circle, shifted, loops=False)
-    firm = [link for link in kept.close(graph) if (link.a < 13) != (link.b < 13)]
+    firm = [link for link in kept.find_loops(graph) if (link.a < 13) != (link.b < 13)]
     assert not firm
 
 

@@ -63,7 +63,7 @@ def drive(
     for index, pose in enumerate(truth):
         frame = PreparedFrame(index, str(index), index / RATE_HERTZ, None, None, "")
         if index in lost:
-            graph.lose(frame, "shows nothing")
+            graph.add_lost(frame, "shows nothing")
             before = None
         elif before is None or index in breaks:
             graph.begin_fragment(frame)

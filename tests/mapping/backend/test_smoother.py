@@ -41,7 +41,7 @@ def drive(truth: list[Pose2], loops: dict[int, int]) -> Backend:
             continue
         graph.place(frame, [link(index - 1, index, "step")])
         if index in loops:
-            graph.tie(index, [link(loops[index], index, "loop")])
+            graph.add_links(index, [link(loops[index], index, "loop")])
     return graph
 
 
