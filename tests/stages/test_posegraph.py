@@ -1,4 +1,4 @@
-"""Links weighed against one another, in cases whose answer is known by hand."""
+"""The pose graph solved, in cases whose answer is known by hand."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def link(a: int, b: int, pose: Pose2, sigma: float = 0.01) -> Link:
     return Link(a, b, pose, np.diag([sigma, sigma, sigma]) ** 2, 30, 0.9, "step")
 
 
-def test_two_opinions_meet_in_proportion_to_their_trust() -> None:
+def test_two_links_are_averaged_by_their_information() -> None:
     links = [link(0, 1, Pose2(1.0), sigma=0.01), link(0, 1, Pose2(1.03), sigma=0.02)]
     solution = posegraph.solve({0: Pose2(), 1: Pose2(1.0)}, links)
     assert solution.poses[1].x == pytest.approx(1.006, abs=1e-6)
@@ -159,8 +159,8 @@ def test_the_sigmas_tell_the_truth() -> None:
 @pytest.mark.parametrize(("claimed", "alone"), [(9.0, 0.33), (0.4, 7.5)])
 def test_how_links_agree_corrects_what_they_claim(claimed: float, alone: float) -> None:
     """The sigmas of poses are nearly honest where all links claim other variances than theirs."""
-    told = consistency(lawnmower(80, 8), claimed, 12, (23, 47, 71))
-    assert abs(math.log(told / 3.0)) < 0.35 * abs(math.log(alone / 3.0))
+    measured_error = consistency(lawnmower(80, 8), claimed, 12, (23, 47, 71))
+    assert abs(math.log(measured_error / 3.0)) < 0.35 * abs(math.log(alone / 3.0))
 
 
 def test_one_pose_alone_is_where_it_is_held() -> None:

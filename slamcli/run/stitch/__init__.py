@@ -226,7 +226,7 @@ def _locate(
     workers, scheduler = options.workers, options.scheduler
     for done in walk(mapper, inputs.files, workers, progress, scheduler, thumbnails):
         if options.debug:
-            draw_trials(mapper.trials, checkpoint.drawings)
+            draw_trials(mapper.registrations, checkpoint.drawings)
         stop = interruption.heeded()
         if stop or pace.due() or done == total:
             pace.saving(lambda: checkpoint.save(mapper))

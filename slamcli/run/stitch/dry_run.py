@@ -150,7 +150,7 @@ def _costs(inputs: Inputs, options: StitchOptions) -> list[str]:
             except FrameError:
                 continue
             count += 1
-            shares += [trial.overlap for trial in mapper.trials[:1] if trial.link is not None]
+            shares += [one.overlap for one in mapper.registrations[:1] if one.link is not None]
     seconds = (time.perf_counter() - started) / max(count, 1) * len(files)
     if not shares:
         return [f"{'forecast':<12} none of the frames tried overlap: they cannot be placed"]

@@ -19,7 +19,7 @@ _RELATIVE_ERROR = 1e-10
 _STEPS_A_TIGHTENING = 2
 
 
-def optimise(problem: Problem, state: GraphState, weights: Float64Array) -> GraphState:
+def optimize(problem: Problem, state: GraphState, weights: Float64Array) -> GraphState:
     """Return the state of least squares of the factors with weight 1 near a first one."""
     import gtsam
 
@@ -32,7 +32,9 @@ def optimise(problem: Problem, state: GraphState, weights: Float64Array) -> Grap
     return _state(state, gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize())
 
 
-def robust(problem: Problem, state: GraphState, suspects: BoolArray, held: BoolArray) -> BoolArray:
+def robust(
+    problem: Problem, state: GraphState, suspects: BoolArray, needed: BoolArray
+) -> BoolArray:
     """Return which factors to keep: those under no suspicion, and the suspects that agree.
 
     Parameters
@@ -42,13 +44,13 @@ def robust(problem: Problem, state: GraphState, suspects: BoolArray, held: BoolA
         A first one.
     suspects : (F,) bool
         Factors that may be false.
-    held : (F,) bool
+    needed : (F,) bool
         Suspects without which the graph may fall apart; their weight never vanishes.
     """
     import gtsam
 
     graph = _fixed(problem, state)
-    for place in np.flatnonzero(held).tolist():
+    for place in np.flatnonzero(needed).tolist():
         graph.add(_factor(problem, place, MIN_WEIGHT))
     for place in np.flatnonzero(~suspects).tolist():
         graph.add(_factor(problem, place))
@@ -69,7 +71,7 @@ def robust(problem: Problem, state: GraphState, suspects: BoolArray, held: BoolA
 
 
 def _fixed(problem: Problem, state: GraphState) -> Any:
-    """Return a graph of the poses that are held."""
+    """Return a graph of the fixed poses."""
     import gtsam
 
     graph = gtsam.NonlinearFactorGraph()
@@ -102,4 +104,4 @@ def _values(state: GraphState) -> Any:
 def _state(state: GraphState, values: Any) -> GraphState:
     solved = [values.atPose2(key) for key in range(len(state.poses))]
     poses = np.array([(pose.x(), pose.y(), pose.theta()) for pose in solved])
-    return GraphState(poses, state.senses)
+    return GraphState(poses, state.offsets)
