@@ -3,22 +3,18 @@
 The factors are motions between frames, compass headings and GPS positions; the compass offset, the
 GPS frame and the antenna's lever arm are variables beside the poses. Factors that all others
 contradict are switched off (`outliers`), and the links' covariances are scaled by how well the
-links agree (`variance`). Links alone are solved by GTSAM (Dellaert and Kaess, Factor Graphs for
-Robot Perception, 2017) where it is installed, all else by scipy.
+links agree (`variance`). After Dellaert and Kaess, Factor Graphs for Robot Perception, 2017.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from importlib.util import find_spec
-from typing import Literal
 
 import numpy as np
 
 from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.core.geometry import Pose2, pose_array
 from slamcli.core.records import Link
-from slamcli.stages.posegraph import gtsam_solver, sparse_solver
 from slamcli.stages.posegraph.build import build, initial_state
 from slamcli.stages.posegraph.components import components, spanning
 from slamcli.stages.posegraph.composition import compose_covariance, fuse
@@ -48,8 +44,6 @@ __all__ = [
     "spanning",
 ]
 
-Solver = Literal["gtsam", "scipy"]
-
 _TRUSTED = ("step", "odometry")
 # Links that two pictures determine in all directions.
 _BY_PICTURE = ("step", "loop")
@@ -62,7 +56,6 @@ def solve(
     readings: SensorReadings = _NO_READINGS,
     *,
     fixed: Collection[int] = (),
-    solver: Solver | None = None,
 ) -> Solution:
     """Solve one connected component, its first frame fixed.
 
@@ -76,18 +69,13 @@ def solve(
         Only of frames of `initial`.
     fixed : collection of int
         Fixed frames in place of the first one; covariances are conditional on them.
-    solver : str or None
-        None takes GTSAM where it is installed; for headings and positions always scipy.
     """
     frames = sorted(initial)
     problem = build(frames, links, readings, fixed)
     first = initial_state(problem, pose_array([initial[frame] for frame in frames]))
-    chosen = solver or ("gtsam" if find_spec("gtsam") else "scipy")
-    links_alone = not readings.headings and not readings.positions
-    module = gtsam_solver if chosen == "gtsam" and links_alone else sparse_solver
     trusted = np.zeros(len(problem), np.bool_)
     trusted[: len(links)] = [link.kind in _TRUSTED for link in links]
-    state, kept = solve_without_outliers(problem, first, trusted, module)
+    state, kept = solve_without_outliers(problem, first, trusted)
     seen = [n for n, link in enumerate(links) if link.kind in _BY_PICTURE and kept[n]]
     loops = sum(links[n].kind == "loop" for n in seen)
     weights = kept.astype(np.float64)

@@ -8,7 +8,6 @@ where a plain solution has outliers.
 from __future__ import annotations
 
 from dataclasses import replace
-from types import ModuleType
 
 import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
@@ -26,7 +25,7 @@ _MAX_ROUNDS = 5
 
 
 def solve_without_outliers(
-    problem: Problem, state: GraphState, trusted: BoolArray, solver: ModuleType
+    problem: Problem, state: GraphState, trusted: BoolArray
 ) -> tuple[GraphState, BoolArray]:
     """Return the solution of all factors that the others do not contradict, and which these are.
 
@@ -38,24 +37,21 @@ def solve_without_outliers(
     trusted : (F,) bool
         Steps and odometry.
     """
-    whole = solver.optimize(problem, state, np.ones(len(problem)))
+    whole = sparse_solver.optimize(problem, state, np.ones(len(problem)))
     if _inliers(problem, whole).all():
         return whole, np.ones(len(problem), np.bool_)
     motions = len(problem.motions)
-    alone = _solve_trusted(problem, state, trusted, solver)
+    alone = _solve_trusted(problem, state, trusted)
     # A step stays trusted while it agrees with its neighbours, without any loop.
     consistent = trusted & _inliers(problem, alone)
     alone = initial_state(problem, alone.poses)
-    if (
-        consistent[:motions].all()
-        and (near := _reject_by_error(problem, alone, solver)) is not None
-    ):
+    if consistent[:motions].all() and (near := _reject_by_error(problem, alone)) is not None:
         return near
     order = np.argsort(~consistent[:motions] + 1 * ~trusted[:motions], kind="stable")
     needed = np.zeros(len(problem), np.bool_)
     needed[spanning_tree(problem, len(state.poses), order)[1]] = True
-    kept = solver.robust(problem, alone, ~consistent, needed & ~consistent)
-    return _readmit(problem, alone, kept, solver)
+    kept = sparse_solver.robust(problem, alone, ~consistent, needed & ~consistent)
+    return _readmit(problem, alone, kept)
 
 
 def spanning_tree(problem: Problem, count: int, order: Int64Array) -> tuple[DisjointSet, list[int]]:
@@ -79,9 +75,7 @@ def _inliers(problem: Problem, state: GraphState) -> BoolArray:
     return np.asarray(problem.squared_errors(state) <= sparse_solver.MAX_INLIER_SQUARED_ERROR)
 
 
-def _solve_trusted(
-    problem: Problem, state: GraphState, trusted: BoolArray, solver: ModuleType
-) -> GraphState:
+def _solve_trusted(problem: Problem, state: GraphState, trusted: BoolArray) -> GraphState:
     """Return the solution of trusted factors alone, one pose of each of their components fixed."""
     motions = len(problem.motions)
     chain, _ = spanning_tree(problem, len(state.poses), np.flatnonzero(trusted[:motions]))
@@ -89,13 +83,10 @@ def _solve_trusted(
     free = [min(subset) for subset in chain.subsets() if anchors.isdisjoint(subset)]
     roots = np.array(sorted([*anchors, *free]))
     problem = replace(problem, anchors=roots)
-    solved: GraphState = solver.optimize(problem, state, trusted.astype(np.float64))
-    return solved
+    return sparse_solver.optimize(problem, state, trusted.astype(np.float64))
 
 
-def _reject_by_error(
-    problem: Problem, state: GraphState, solver: ModuleType
-) -> tuple[GraphState, BoolArray] | None:
+def _reject_by_error(problem: Problem, state: GraphState) -> tuple[GraphState, BoolArray] | None:
     """Return the solution where all links and most readings agree from the start, else None.
 
     Readings are rejected by their errors alone, round by round: a fraction of the time of
@@ -106,16 +97,14 @@ def _reject_by_error(
         kept[: len(problem.motions)] = True
         if kept.mean() < _MIN_INLIER_SHARE:
             return None
-        state = solver.optimize(problem, state, kept.astype(np.float64))
+        state = sparse_solver.optimize(problem, state, kept.astype(np.float64))
         before, kept = kept, _inliers(problem, state)
         if np.array_equal(before, kept):
             return state, kept
     return None
 
 
-def _readmit(
-    problem: Problem, state: GraphState, kept: BoolArray, solver: ModuleType
-) -> tuple[GraphState, BoolArray]:
+def _readmit(problem: Problem, state: GraphState, kept: BoolArray) -> tuple[GraphState, BoolArray]:
     """Solve the kept factors; add those that agree, and motions that alone connect components."""
     motions = len(problem.motions)
     for last in (False, True):
@@ -123,7 +112,7 @@ def _readmit(
         order = np.argsort(np.where(kept[:motions], -1.0, errors), kind="stable")
         kept = kept.copy()
         kept[spanning_tree(problem, len(state.poses), order)[1]] = True
-        state = solver.optimize(problem, state, kept.astype(np.float64))
+        state = sparse_solver.optimize(problem, state, kept.astype(np.float64))
         agrees = _inliers(problem, state)
         if last or not (agrees & ~kept).any():
             break
