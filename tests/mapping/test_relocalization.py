@@ -16,6 +16,7 @@ from slamcli.mapping.preprocessing import Preprocessor
 from slamcli.mapping.relocalization import Relocalizer, are_near
 from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import CameraOptions, DisturbanceOptions
+from slamcli.stages.place_index import PlaceCandidate
 
 CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
 
@@ -80,6 +81,18 @@ def test_two_places_that_look_alike_are_ambiguous_and_one_place_is_not(floor: Fl
         found = relocalizer.verify(prepared, relocalizer.query(prepared.features), graph)
         assert ("ambiguous: 2 places" in found.reason) == ambiguous
         assert (found.link is None) == ambiguous
+
+
+def test_candidates_that_lead_to_one_place_are_one(
+    floor: Floor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Votes are rough: two places by the votes may be one by the registrations."""
+    relocalizer, graph = floor.map({Pose2(): Pose2(), Pose2(0.02): Pose2(0.02)})
+    true = {0: Pose2(0.05), 1: Pose2(0.03)}
+    candidates = [PlaceCandidate(0, true[0], 9), PlaceCandidate(1, true[1] @ Pose2(0.5), 9)]
+    register = relocalizer.register
+    monkeypatch.setattr(relocalizer, "register", lambda a, now, _: register(a, now, true[a]))
+    assert relocalizer.verify(floor.look(Pose2(0.05), 9), candidates, graph).link is not None
 
 
 def test_a_keyframe_without_a_pose_is_no_place(floor: Floor) -> None:

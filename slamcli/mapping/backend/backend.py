@@ -115,13 +115,15 @@ class Backend:
         if latest is None or link is None:
             return self.graph.set_estimate(lost(prepared, reason))
         if partial is not None:
-            self.graph.add_links([partial])
             link = posegraph.fuse(link, partial)
         predicted = tracked(prepared, *self.graph.compose(link), latest.fragment)
         odom = self._odom_after(prepared, None)
-        return self.graph.set_estimate(
+        estimate = self.graph.set_estimate(
             replace(predicted, status="predicted", reason=reason, odom_from_robot=odom)
         )
+        if partial is not None:
+            self.graph.add_links([partial])
+        return estimate
 
     def add_revised(self, index: int, others: Sequence[int]) -> PoseEstimate:
         """Record in a frame's estimate that its insertion changed those of others."""
