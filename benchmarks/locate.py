@@ -1,4 +1,4 @@
-"""How often single frames are found in a map, how often falsely, and what that costs as maps grow.
+"""Localisation of single frames in a map: found, falsely placed, and the cost as maps grow.
 
 Run: python benchmarks/locate.py [--floors a,b] [--frames N] [--keyframes 100,1000,10000]. A camera
 of 320x240 drives three lanes over a simulated floor; frames that the map has not seen, at any
@@ -93,7 +93,7 @@ class World:
             yield pose, self.take(pose, 10_000 + number)
 
     def outside(self, count: int) -> Iterator[NDArray[np.uint8]]:
-        """Yield pictures of floor that the map knows nothing of."""
+        """Yield pictures of floor outside the map."""
         generator = np.random.default_rng(4)
         for number in range(count):
             place = generator.uniform(*OUTSIDE_METRES, 2).tolist()
@@ -103,7 +103,7 @@ class World:
 
 @dataclass
 class Outcome:
-    """What came of looking frames up."""
+    """Counts of the outcomes of localisation."""
 
     right: int = 0
     wrong: int = 0
@@ -124,7 +124,7 @@ class Outcome:
 
 
 def search(world: World, floor_map: FloorMap, count: int) -> None:
-    """Print a row: how many of so many frames are found, and of half as many outside."""
+    """Print a row: how many of `count` frames are found, and of half as many outside."""
     locator, outcome = Locator(floor_map), Outcome()
     for pose, picture in world.unseen(count):
         outcome.count(locator.locate(picture), pose)
@@ -139,7 +139,7 @@ def search(world: World, floor_map: FloorMap, count: int) -> None:
 
 
 def filled(floor_map: FloorMap, count: int) -> FloorMap:
-    """Return the map with so many keyframes: its own, and others of floor far away."""
+    """Return the map with `count` keyframes: its own, and others of floor far away."""
     generator = np.random.default_rng(8)
     own = floor_map.keyframes[:count]
     pool = np.concatenate([keyframe.features.descriptors for keyframe in own])
@@ -159,7 +159,7 @@ def filled(floor_map: FloorMap, count: int) -> FloorMap:
 
 
 def cost(world: World, floor_map: FloorMap, count: int) -> None:
-    """Print a row: milliseconds a frame in a map of so many keyframes."""
+    """Print a row: milliseconds a frame in a map of `count` keyframes."""
     locator, outcome = Locator(filled(floor_map, count)), Outcome()
     seconds = {True: [0.0], False: [0.0]}
     pictures = [(pose, picture) for pose, picture in world.unseen(COST_FRAMES)]

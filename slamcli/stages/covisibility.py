@@ -1,4 +1,4 @@
-"""Which frames can have seen the same floor, by their poses and how sure these are."""
+"""Covisibility: which frames see the same floor, by their poses and these poses' uncertainty."""
 
 from __future__ import annotations
 
@@ -14,12 +14,15 @@ from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import compose_poses, relative_poses
 
+# Overlaps differ from those of the views by less than 0.06.
+# [guarded by tests/mapping/test_loop_closure.py]
 _SAMPLES_A_SIDE = 14
+# Frames whose distances in the graph are computed at a time: bounds the memory.
 _FRAMES_AT_ONCE = 64
 
 
 class Footprint:
-    """The floor that a camera sees, as a convex outline and points that fill it evenly.
+    """The floor that a camera sees: a convex outline, and sample points that fill it evenly.
 
     Parameters
     ----------
@@ -43,14 +46,14 @@ class Footprint:
         """Return the shares of b's floor that a sees too, for (N, 3) motions x, y, theta."""
         cosine, sine = np.cos(a_from_b[:, 2:]), np.sin(a_from_b[:, 2:])
         x, y = self._points.T
-        places = np.stack(
+        points = np.stack(
             [
                 cosine * x - sine * y + a_from_b[:, :1],
                 sine * x + cosine * y + a_from_b[:, 1:2],
             ],
             axis=-1,
         )
-        shares: Float64Array = self._inside(places).mean(axis=-1)
+        shares: Float64Array = self._inside(points).mean(axis=-1)
         return shares
 
     def _inside(self, points: Float64Array) -> BoolArray:
@@ -60,17 +63,17 @@ class Footprint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairs:
-    """What one frame, b, may have in common with earlier ones.
+    """The earlier frames that see floor of one frame, b.
 
     Attributes
     ----------
     b : int
-        Place of the frame in the arrays that were given.
+        Index in the given arrays.
     a : (N,) int64
-        Places of the others, most overlap first.
+        Indices of the others, most overlap first.
     a_from_b : (N, 3) float64
     uncertainties : (N,) float64
-        Metres that the motion may err by, one sigma.
+        Sigma of the motion, metres.
     """
 
     b: int
@@ -81,37 +84,38 @@ class Pairs:
 
 def pairs(
     poses: Float64Array,
-    tied: Int64Array,
+    links: Int64Array,
     uncertainties: Float64Array,
     footprint: Footprint,
     *,
     min_overlap: float,
     max_uncertainty: float,
 ) -> Iterator[Pairs]:
-    """Yield, for each frame, the earlier ones that see so much of its floor if the poses are right.
+    """Yield, for each frame, the earlier ones that see enough of its floor by the poses.
 
-    How far two poses may be wrong is added up along the surest way of links between them: an upper
-    bound, as a calibration's errors add up and noise does less. The cost of a frame depends on how
-    much floor is near to it, not on how large the map is.
+    The sigma between two poses is the sum along the shortest path of links between them: an upper
+    bound, as a calibration's errors add up and noise does less. The cost of a frame depends on the
+    number of frames near it, not on the size of the map.
 
     Parameters
     ----------
     poses : (N, 3) float64
         ``map_from_robot`` of one fragment's frames in their order.
-    tied : (M, 2) int64
-        Pairs of places in `poses` that links tie.
+    links : (M, 2) int64
+        Pairs of indices in `poses` that links connect.
     uncertainties : (M,) float64
-        Metres that each link may err by, one sigma.
+        Sigma of each link, metres.
     footprint : Footprint
-    least_overlap : float
-    most_uncertainty : float
-        Metres beyond which the poses of two frames do not tell their motion.
+    min_overlap : float
+        Share of b's floor.
+    max_uncertainty : float
+        Sigma, in metres, beyond which the poses of two frames do not determine their motion.
     """
     middles = compose_poses(poses, np.array([*footprint.centre, 0.0]))[:, :2]
     tree = KDTree(middles)
     # A sparse zero would be no link.
     steps = np.maximum(uncertainties, 1e-12)
-    graph = csr_array((steps, (tied[:, 0], tied[:, 1])), shape=(len(poses), len(poses)))
+    graph = csr_array((steps, (links[:, 0], links[:, 1])), shape=(len(poses), len(poses)))
     for first in range(0, len(poses), _FRAMES_AT_ONCE):
         chunk = np.arange(first, min(first + _FRAMES_AT_ONCE, len(poses)))
         reach = csgraph.dijkstra(graph, directed=False, indices=chunk, limit=max_uncertainty)

@@ -1,4 +1,4 @@
-"""`slam locate` and the map file: found where one is, nowhere else, and safe to open."""
+"""Localisation in a finished map, `slam locate`, and map files that are safe to open."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def set_to(*keys: Any, value: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (set_to("arrays", "points", 1, value=[10**9, 2]), "cut off"),
         (set_to("arrays", "points", 0, value="|O"), "kind"),
@@ -121,17 +121,17 @@ def set_to(*keys: Any, value: Any) -> Any:
     ],
 )
 def test_a_forged_map_is_refused_in_one_line(
-    map_file: Path, tmp_path: Path, change: Any, told: str
+    map_file: Path, tmp_path: Path, change: Any, message: str
 ) -> None:
     path = tmp_path / "forged.slam"
     path.write_bytes(forged(map_file, change))
-    with pytest.raises(slamcli.MapError, match=told) as caught:
+    with pytest.raises(slamcli.MapError, match=message) as caught:
         load_map(path)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "message"),
     [
         (lambda data: data[:-1] + b"\0\0", "damaged"),
         (lambda data: data.replace(b"map 2\n", b"map 9\n", 1), "format version 9"),
@@ -140,18 +140,18 @@ def test_a_forged_map_is_refused_in_one_line(
     ],
 )
 def test_a_spoilt_map_is_refused_in_one_line(
-    map_file: Path, tmp_path: Path, spoil: Any, told: str
+    map_file: Path, tmp_path: Path, spoil: Any, message: str
 ) -> None:
     path = tmp_path / "spoilt.slam"
     path.write_bytes(spoil(map_file.read_bytes()))
-    with pytest.raises(slamcli.MapError, match=told):
+    with pytest.raises(slamcli.MapError, match=message):
         load_map(path)
     result = CliRunner().invoke(main, ["locate", str(path), str(tmp_path)])
     assert result.exit_code == 1
     assert result.output.startswith("Error: ")
 
 
-def test_the_command_tells_where_frames_are(
+def test_the_command_locates_frames(
     photographer: photograph.Photographer, map_file: Path, tmp_path: Path
 ) -> None:
     write_image(tmp_path / "a.png", take(photographer, Pose2(0.1, 0.01, 0.1), 300))
@@ -165,8 +165,8 @@ def test_the_command_tells_where_frames_are(
     rows = table.read_text().splitlines()
     assert len(rows) == 4
     assert rows[1].split(",")[3] == "tracked"
-    told = CliRunner().invoke(main, ["locate", str(map_file), *frames, "--json"])
-    entries = json.loads(told.stdout)
+    listed = CliRunner().invoke(main, ["locate", str(map_file), *frames, "--json"])
+    entries = json.loads(listed.stdout)
     assert [entry["here"] for entry in entries] == [True, False, False]
     assert math.hypot(entries[0]["x"] - 0.1, entries[0]["y"] - 0.01) < 0.002
     alone = CliRunner().invoke(main, ["locate", str(map_file), frames[1]])

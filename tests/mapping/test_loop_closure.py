@@ -70,13 +70,13 @@ def test_threads_find_the_loops_that_one_does(circle: slamcli.Mapper) -> None:
         estimates = together.finish(executor.map)
     for one, other in zip(alone.finish(), estimates, strict=True):
         assert one.map_from_robot == other.map_from_robot
-    ties = [(link.a, link.b, link.a_from_b) for link in alone.links]
-    assert ties == [(link.a, link.b, link.a_from_b) for link in together.links]
-    assert len(ties) > before
+    links = [(link.a, link.b, link.a_from_b) for link in alone.links]
+    assert links == [(link.a, link.b, link.a_from_b) for link in together.links]
+    assert len(links) > before
 
 
 def test_a_loop_is_closed_by_true_links_alone(circle: slamcli.Mapper) -> None:
-    # As the robot comes round, and what else the poses tell of at the end.
+    # Some as the robot comes round, and all that the poses predict at the end.
     assert [link for link in circle.links if link.kind == "loop"]
     assert worst_metres(circle.finish(), CIRCLE) < 0.001
     loops = [link for link in circle.links if link.kind == "loop"]

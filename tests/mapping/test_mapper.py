@@ -1,4 +1,4 @@
-"""The loop, on a simulated floor whose truth is known."""
+"""The mapper, on a simulated floor whose truth is known."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ def test_a_drive_is_located_to_a_millimetre(photographer: photograph.Photographe
     assert all(link.score > 0.8 for link in mapper.links)
 
 
-def test_a_third_keyframe_is_asked_only_where_it_shares_much(
+def test_a_third_keyframe_is_used_only_where_it_overlaps_much(
     photographer: photograph.Photographer,
 ) -> None:
-    """What a camera that rocks shows at the rim of two views bends a motion and hardly holds it."""
+    """A rocking camera's views, where they overlap little, bend a motion more than they add."""
     options = slamcli.MapperOptions(keyframe_overlap=0.95)
     mapper = slamcli.Mapper(photographer.calibration, options)
     for i in range(7):
@@ -141,7 +141,7 @@ def test_an_index_that_came_before_is_refused(photographer: photograph.Photograp
     assert len(mapper.estimates) == 1
 
 
-def test_a_bare_course_is_never_placed_by_its_likeness_to_itself() -> None:
+def test_a_bare_course_is_never_placed_by_its_own_symmetry() -> None:
     """Its lines and squares look the same again after a quarter or a half turn."""
     floor = floors.make_floor("course", 0.0, 0.001, seed=0)
     calibration = photograph.make_camera(CameraOptions(size=(400, 300)))
@@ -161,7 +161,7 @@ def test_a_bare_course_is_never_placed_by_its_likeness_to_itself() -> None:
         assert degrees < 2.0
 
 
-def test_a_turn_that_no_robot_makes_between_frames_is_not_believed(
+def test_a_turn_that_no_robot_makes_between_frames_is_rejected(
     photographer: photograph.Photographer,
 ) -> None:
     mapper = slamcli.Mapper(photographer.calibration)

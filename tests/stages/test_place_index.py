@@ -1,4 +1,4 @@
-"""Places recalled by what they look like, in worlds of known landmarks."""
+"""Place recognition, in worlds of known landmarks."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Landmarks:
 
 
 @pytest.mark.parametrize("kind", ["hamming", "l2"])
-def test_a_place_is_recalled_with_its_motion(kind: str) -> None:
+def test_a_place_is_recognised_with_its_motion(kind: str) -> None:
     world = Landmarks(4000, 1, kind)
     index = PlaceIndex()
     poses = [Pose2(0.25 * n - 1.0, 0.2 * n - 0.8, 0.4 * n) for n in range(8)]
@@ -72,7 +72,7 @@ def test_a_place_is_recalled_with_its_motion(kind: str) -> None:
     assert nearest not in {place.keyframe for place in fewer}
 
 
-def test_floor_never_seen_recalls_nothing() -> None:
+def test_floor_never_seen_is_not_recognised() -> None:
     index = PlaceIndex()
     known, unknown = Landmarks(4000, 1), Landmarks(4000, 2)
     for number in range(20):
@@ -109,7 +109,7 @@ def test_a_look_up_reads_no_more_of_a_large_map_than_of_a_small_one() -> None:
     assert len(query) <= place_index._MAX_READ * place_index._TABLES < 200
 
 
-def test_recalling_is_the_same_each_time() -> None:
+def test_a_query_is_deterministic() -> None:
     world = Landmarks(4000, 1)
     answers = []
     for _ in range(2):

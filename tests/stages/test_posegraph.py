@@ -169,7 +169,7 @@ def test_false_loops_across_a_long_drive_do_not_switch_off_true_ones() -> None:
 
 
 def consistency(truth: list[Pose2], claimed: float, worlds: int, watched: tuple[int, ...]) -> float:
-    """Mean normalised squared error of some poses; links claim so many times their variances."""
+    """Mean normalised squared error of some poses; links claim a multiple of their variances."""
     errors = []
     for seed in range(worlds):
         initial, links = measured(truth, 8, np.random.default_rng(seed))
@@ -221,12 +221,12 @@ def test_what_is_known_across_a_slanting_line_alone_is_kept(solver: str) -> None
     truth = Pose2(0.03, 0.001)
     along = Pose2(*(axes @ (0.2, 0.0)), 0.0)
     partial = Link(0, 1, truth @ along, covariance, 0, 0.9, "partial")
-    felt = Link(0, 1, truth @ Pose2(0.0, 0.004, 0.01), np.diag([1e-4] * 3), 0, 0.9, "odometry")
-    solved = posegraph.solve({0: Pose2(), 1: truth}, [partial, felt])
+    odometry = Link(0, 1, truth @ Pose2(0.0, 0.004, 0.01), np.diag([1e-4] * 3), 0, 0.9, "odometry")
+    solved = posegraph.solve({0: Pose2(), 1: truth}, [partial, odometry])
     off = truth.inverse() @ solved.poses[1]
     assert abs(-off.x * math.sin(slant) + off.y * math.cos(slant)) < 1e-4
     assert off.translation_length < 1e-3
-    fused = truth.inverse() @ posegraph.fuse(felt, partial).a_from_b
+    fused = truth.inverse() @ posegraph.fuse(odometry, partial).a_from_b
     assert (off.inverse() @ fused).translation_length < 1e-5
 
 

@@ -159,9 +159,9 @@ def test_gps_and_compass_survive_outliers_and_place_the_map_on_earth() -> None:
 
 
 def test_fused_with_gps_and_compass_a_drive_is_as_good_as_by_vision_alone() -> None:
-    """Of vision so sure, readings so poor have little to tell: chance decides by a few hundredths.
+    """Vision is so precise that poor readings change it by chance, by a few hundredths.
 
-    On average they help all the same, as much as they tell.
+    On average they improve it all the same.
     """
     truth = winding(334, 0.3)
     ratios = []
@@ -228,7 +228,7 @@ def test_the_antenna_is_found_on_the_robot() -> None:
     assert backend.graph.georeferences[0].lever_arm_metres == pytest.approx((0.4, -0.25), abs=0.06)
 
 
-def test_a_compass_alone_holds_the_heading() -> None:
+def test_a_compass_alone_corrects_the_heading() -> None:
     truth = winding(300, 0.2)
     errors = []
     for fused in (False, True):
@@ -242,7 +242,7 @@ def test_a_compass_alone_holds_the_heading() -> None:
     assert errors[1] < 0.7 * errors[0]
 
 
-def test_odometry_ties_what_lies_on_both_sides_of_a_gap() -> None:
+def test_odometry_connects_what_lies_on_both_sides_of_a_gap() -> None:
     truth = winding(60, 0.1)
     lost = tuple(range(20, 40))
     apart = drive(truth, Sensors(), 0, 0.001, lost=lost)
@@ -272,7 +272,7 @@ def test_odometry_ties_what_lies_on_both_sides_of_a_gap() -> None:
         assert rmse(backend, truth) < 0.02
 
 
-def test_gps_ties_fragments_that_share_nothing() -> None:
+def test_gps_connects_fragments_that_share_nothing() -> None:
     truth = winding(240, 0.3)
     sensors = Sensors()
     feel_gps(sensors, truth, np.random.default_rng(1), 0.5)
@@ -303,7 +303,7 @@ def paint_a_line(grid: slamcli.Grid) -> np.ndarray:
     return np.ascontiguousarray(np.repeat(gray[..., None], 3, axis=2))
 
 
-def test_a_plain_line_holds_the_heading_and_the_way_across_it_beside_odometry() -> None:
+def test_a_plain_line_determines_the_heading_and_the_direction_across_it() -> None:
     floor = floors.BlockFloor(paint_a_line, 0.001)
     photographer = photograph.Photographer(photograph.World(floor), photograph.make_camera(CAMERA))
     truth = [
@@ -400,7 +400,7 @@ def stitch(folder: Path, output: Path, *options: str) -> str:
     return f"{result.exit_code} {result.output}"
 
 
-def test_stitch_takes_what_the_robot_felt(drive_folder: Path, tmp_path: Path) -> None:
+def test_stitch_uses_the_sensors(drive_folder: Path, tmp_path: Path) -> None:
     # Survey-grade, as the drive is short.
     truth = read_trajectory(drive_folder / "truth.csv")
     assert truth.stamps is not None

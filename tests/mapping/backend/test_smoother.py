@@ -68,11 +68,11 @@ def test_loops_are_closed_as_they_are_found_at_a_cost_that_stays_flat(
     assert len(sizes) > 10
     # The way out is long past when the first loops come back to its end: it is not solved anew.
     assert max(sizes[:3]) < 0.2 * OUT
-    assert sum(sizes) < 12 * len(truth), "a frame of a window has been paid for by those that came"
+    assert sum(sizes) < 12 * len(truth), "the windows of all frames are amortised"
     open_chain = drive(truth, {})
     ends = slice(last - 100, None)
     assert errors(streamed, truth)[ends].mean() < 0.3 * errors(open_chain, truth)[ends].mean()
-    # Sigmas too: what a window leaves is no surer than the solution of the whole.
+    # Sigmas too: those of a window are not smaller than those of the whole solution.
     latest = streamed.graph[last].covariance
     streamed.solve()
     whole = streamed.graph[last].covariance

@@ -1,10 +1,9 @@
-"""Where a frame may have been before, by what its points look like, at a cost that stays flat.
+"""Place recognition by binary descriptors, at a cost that does not grow with the map.
 
-Descriptors are kept in hash tables, each keyed by some of their bits (locality-sensitive hashing:
-Indyk and Motwani, STOC 1998); a bucket is read so deep and no deeper, so that a look-up costs the
-same on a large map as on a small one. What is recalled votes for motions between the frame and a
-keyframe: on a floor seen from above a true one keeps every distance between points (a rigid motion
-of constant scale), and chance does not.
+Descriptors are in hash tables, each keyed by some of their bits (locality-sensitive hashing: Indyk
+and Motwani, STOC 1998). A bounded number of entries of a bucket is read, so that a query costs the
+same on a large map as on a small one. The matches of a keyframe vote for its motion to the frame
+(`voting`).
 """
 
 from __future__ import annotations
@@ -15,40 +14,40 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from slamcli.core.arrays import Float32Array, Float64Array, Int32Array, Int64Array, UInt64Array
+from slamcli.core.arrays import Float32Array, Int32Array, Int64Array, UInt64Array
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Features
+from slamcli.stages.place_index.voting import MIN_VOTES, vote
 
 Kind = TypeVar("Kind", bound=np.generic)
 
-# Keys so long that ten thousand keyframes leave three entries to a bucket: what is read grows
-# little with a map, and twelve tables still find half of the descriptors that differ in an eighth.
+# With keys of this length, ten thousand keyframes have three entries in a bucket: what is read
+# grows little with a map, and twelve tables still find half of the descriptors that differ in an
+# eighth of their bits. [benchmarks/backend.py: 2.1 ms a query with 1,000 keyframes, 2.6 ms with 10,000]
 _TABLES = 12
 _KEY_BITS = 20
-# So many entries of a bucket are read, the newest first.
+# Entries of a bucket that are read, the newest first.
 _MAX_READ = 8
+# Points of a keyframe that are indexed, and of a frame that are queried: the strongest ones.
+# [benchmarks/locate.py: 500 of 500 frames found]
 _MAX_INDEXED = 256
-_MAX_ASKED = 400
-# Descriptors of one spot differ by less than this share of their bits, those of others seldom.
+_MAX_QUERIED = 400
+# Descriptors of one point differ by less than this share of their bits, those of others seldom; and
+# in their first word by at most so many bits. [guarded by benchmarks/locate.py]
 _MAX_DIFFERENCE = 0.24
-_MAX_OF_A_WORD = 24
+_MAX_WORD_DIFFERENCE_BITS = 24
+# Keyframes that are voted on, and matches of each. [guarded by benchmarks/locate.py]
 _MAX_KEYFRAMES = 12
 _MAX_MATCHES = 80
-_MAX_HYPOTHESES = 200
-_MIN_VOTES = 5
-# Of the sigmas of two points, to a residual that they still agree with.
-_AGREEING_SIGMAS = 4.0
-# Two points nearer than this many tolerances turn a motion by chance.
-_MIN_BASE = 10.0
-_REFITS = 2
 _FIRST_CAPACITY = 1024
 _WORD_BYTES = 8
+# Entries that are hashed at a time when an index is unpickled: bounds the memory.
 _REBUILT_AT_ONCE = 4096
 
 
 @dataclass(frozen=True, slots=True)
 class PlaceCandidate:
-    """A keyframe that a frame recalls.
+    """A keyframe that looks like a frame, and the motion between them.
 
     Attributes
     ----------
@@ -66,10 +65,10 @@ class PlaceCandidate:
 
 
 class PlaceIndex:
-    """The points of many keyframes, to be found by their descriptors.
+    """Index of the points of many keyframes by their descriptors.
 
     All keyframes' features must be of one kind. Real-valued descriptors are made binary: a bit
-    says whether an element is above the descriptor's median (Zhou et al., Scalar quantization for
+    is set where an element is above the descriptor's median (Zhou et al., Scalar quantization for
     large scale image search, ACM Multimedia 2012).
 
     Parameters
@@ -90,7 +89,7 @@ class PlaceIndex:
         self._keyframe_of = np.empty(0, np.int32)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all but the buckets, which are mostly empty and follow from the rest."""
+        """Return all but the buckets, which are mostly empty and are computed from the rest."""
         count = self._count
         return {
             **vars(self),
@@ -112,7 +111,7 @@ class PlaceIndex:
             self._chain(self._words[first : first + _REBUILT_AT_ONCE], first)
 
     def add(self, keyframe: int, features: Features) -> None:
-        """Remember a keyframe's strongest points under a number (32 bits) of the caller's."""
+        """Insert a keyframe's strongest points under a number (32 bits) of the caller's."""
         chosen = _strongest(features, _MAX_INDEXED)
         if not len(chosen):
             return
@@ -138,31 +137,31 @@ class PlaceIndex:
         ----------
         features : Features
         excluded : set of int
-            Keyframes that are not asked for.
+            Keyframes to leave out.
         """
-        asked = _strongest(features, _MAX_ASKED)
-        if not self._count or not len(asked):
+        queried = _strongest(features, _MAX_QUERIED)
+        if not self._count or not len(queried):
             return []
-        query, entry, difference = self._look_up(_words_of(features, asked))
+        query, entry, difference = self._look_up(_words_of(features, queried))
         owner = self._keyframe_of[entry]
         if excluded:
             allowed = ~np.isin(owner, np.fromiter(excluded, np.int32, len(excluded)))
             query, entry, difference = query[allowed], entry[allowed], difference[allowed]
             owner = owner[allowed]
         keyframes, counts = np.unique(owner, return_counts=True)
-        many = np.flatnonzero(counts >= _MIN_VOTES)
+        many = np.flatnonzero(counts >= MIN_VOTES)
         most = many[np.lexsort((keyframes[many], -counts[many]))][:_MAX_KEYFRAMES]
-        points = _points_of(features, asked)
-        places = []
+        points = _points_of(features, queried)
+        candidates = []
         for keyframe in keyframes[most]:
             mine = np.flatnonzero(owner == keyframe)
             mine = mine[np.lexsort((entry[mine], difference[mine]))]
             _, once = np.unique(query[mine], return_index=True)
             mine = mine[np.sort(once)][:_MAX_MATCHES]
-            found = _agree(self._points[entry[mine]], points[query[mine]])
+            found = vote(self._points[entry[mine]], points[query[mine]])
             if found is not None:
-                places.append(PlaceCandidate(int(keyframe), *found))
-        return sorted(places, key=lambda place: (-place.votes, place.keyframe))
+                candidates.append(PlaceCandidate(int(keyframe), *found))
+        return sorted(candidates, key=lambda one: (-one.votes, one.keyframe))
 
     def _choose_bits(self, length: int) -> None:
         generator = np.random.default_rng(self._seed)
@@ -176,7 +175,7 @@ class PlaceIndex:
         return np.full((_TABLES, 2 ** self._bits.shape[1]), -1, np.int32)
 
     def _reserve(self, count: int, words: int) -> None:
-        """Make room for so many entries; doubling makes that cheap on average."""
+        """Make room for a number of entries; doubling makes that cheap on average."""
         capacity = len(self._next)
         if count <= capacity:
             return
@@ -188,13 +187,13 @@ class PlaceIndex:
         self._keyframe_of = _enlarged(self._keyframe_of, (capacity,))
 
     def _keys(self, words: UInt64Array) -> Int64Array:
-        """Return (N, tables): where each descriptor lies in each table."""
+        """Return (N, tables): the key of each descriptor in each table."""
         bits = np.unpackbits(words.view(np.uint8), axis=1)
         weights = 1 << np.arange(self._bits.shape[1], dtype=np.int64)
         return np.asarray(bits[:, self._bits].astype(np.int64) @ weights)
 
     def _chain(self, words: UInt64Array, first: int) -> None:
-        """Put entries, numbered from `first` on, in front of what their buckets hold already."""
+        """Insert entries, numbered from `first` on, at the front of their buckets."""
         for table, keys in enumerate(self._keys(words).T):
             order = np.argsort(keys, kind="stable")
             ordered = keys[order]
@@ -207,7 +206,7 @@ class PlaceIndex:
             heads[ordered[last]] = entries[last]
 
     def _look_up(self, words: UInt64Array) -> tuple[Int64Array, Int64Array, Int64Array]:
-        """Return pairs (query, entry) of descriptors that are alike, and by how many bits not."""
+        """Return pairs (query, entry) of similar descriptors, and the bits by which they differ."""
         keys = self._keys(words)
         tables = np.arange(_TABLES)
         heads = self._heads[tables, keys]
@@ -223,14 +222,19 @@ class PlaceIndex:
             queries.append(query)
             entries.append(entry)
         query, entry = np.concatenate(queries), np.concatenate(entries)
-        # The first word alone tells most that share a key by chance, at a quarter of the cost.
-        alike = np.bitwise_count(self._first_words[entry] ^ words[query, 0]) <= _MAX_OF_A_WORD
-        query, entry = query[alike], entry[alike]
-        unlike = np.bitwise_count(self._words[entry] ^ words[query]).sum(axis=1, dtype=np.int64)
-        near = unlike <= _MAX_DIFFERENCE * 8 * _WORD_BYTES * words.shape[1]
-        query, entry, unlike = query[near], entry[near], unlike[near]
+        # The first word alone rejects most that share a key by chance, at a quarter of the cost.
+        similar = (
+            np.bitwise_count(self._first_words[entry] ^ words[query, 0])
+            <= _MAX_WORD_DIFFERENCE_BITS
+        )
+        query, entry = query[similar], entry[similar]
+        different_bits = np.bitwise_count(self._words[entry] ^ words[query]).sum(
+            axis=1, dtype=np.int64
+        )
+        near = different_bits <= _MAX_DIFFERENCE * 8 * _WORD_BYTES * words.shape[1]
+        query, entry, different_bits = query[near], entry[near], different_bits[near]
         _, once = np.unique(query * self._count + entry, return_index=True)
-        return query[once], entry[once], unlike[once]
+        return query[once], entry[once], different_bits[once]
 
 
 def _strongest(features: Features, count: int) -> Int64Array:
@@ -254,78 +258,8 @@ def _words_of(features: Features, chosen: Int64Array) -> UInt64Array:
 
 
 def _enlarged(array: NDArray[Kind], shape: tuple[int, ...]) -> NDArray[Kind]:
-    """Return the array with room for more; what is new is not set."""
+    """Return the array with uninitialised room at its end."""
     larger = np.empty(shape, array.dtype)
     if array.size:
         larger[: len(array)] = array
     return larger
-
-
-def _agree(points_a: Float32Array, points_b: Float32Array) -> tuple[Pose2, int] | None:
-    """Return the rigid motion ``a_from_b`` that most matched points agree with, and how many.
-
-    Every pair of matches that keeps its distance gives a hypothesis; the longest ones are tried.
-
-    Parameters
-    ----------
-    points_a, points_b : (M, 3) float32
-        x, y and sigma, metres.
-    """
-    if len(points_a) < _MIN_VOTES:
-        return None
-    a, b = points_a[:, :2].astype(np.float64), points_b[:, :2].astype(np.float64)
-    tolerance = _AGREEING_SIGMAS * np.hypot(points_a[:, 2], points_b[:, 2]).astype(np.float64)
-    first, second = np.triu_indices(len(a), 1)
-    base_a, base_b = a[second] - a[first], b[second] - b[first]
-    length_a, length_b = np.hypot(*base_a.T), np.hypot(*base_b.T)
-    slack = np.hypot(tolerance[first], tolerance[second])
-    sound = (np.abs(length_a - length_b) < slack) & (length_a > _MIN_BASE * slack)
-    pairs = np.flatnonzero(sound)
-    if not len(pairs):
-        return None
-    # The longest pairs, for their tolerance, turn a motion least by their points' errors.
-    pairs = pairs[np.argsort(-(length_a / slack)[pairs], kind="stable")[:_MAX_HYPOTHESES]]
-    turns = np.arctan2(base_a[pairs, 1], base_a[pairs, 0])
-    turns -= np.arctan2(base_b[pairs, 1], base_b[pairs, 0])
-    middle_a = 0.5 * (a[first[pairs]] + a[second[pairs]])
-    middle_b = 0.5 * (b[first[pairs]] + b[second[pairs]])
-    residuals = _residuals(turns, middle_a, middle_b, a, b)
-    inliers = residuals < tolerance
-    votes = inliers.sum(axis=1)
-    best = int(votes.argmax())
-    pose, agree = Pose2(), inliers[best]
-    for _ in range(_REFITS):
-        if np.count_nonzero(agree) < _MIN_VOTES:
-            return None
-        pose = _rigid(a[agree], b[agree], 1.0 / tolerance[agree] ** 2)
-        agree = np.hypot(*(pose.apply(b) - a).T) < tolerance
-    count = int(np.count_nonzero(agree))
-    return (pose, count) if count >= _MIN_VOTES else None
-
-
-def _residuals(
-    turns: Float64Array,
-    middle_a: Float64Array,
-    middle_b: Float64Array,
-    a: Float64Array,
-    b: Float64Array,
-) -> Float64Array:
-    """Return (K, M) distances of matches under K motions that turn and carry one middle over."""
-    cosine, sine = np.cos(turns)[:, None], np.sin(turns)[:, None]
-    x = b[None, :, 0] - middle_b[:, :1]
-    y = b[None, :, 1] - middle_b[:, 1:]
-    away_x = cosine * x - sine * y + middle_a[:, :1] - a[None, :, 0]
-    away_y = sine * x + cosine * y + middle_a[:, 1:] - a[None, :, 1]
-    return np.hypot(away_x, away_y)
-
-
-def _rigid(a: Float64Array, b: Float64Array, weights: Float64Array) -> Pose2:
-    """Return the weighted least-squares rigid motion (Umeyama, PAMI 13, 1991, in the plane)."""
-    share = weights / weights.sum()
-    middle_a, middle_b = share @ a, share @ b
-    from_a, from_b = a - middle_a, b - middle_b
-    along = float(share @ (from_a * from_b).sum(axis=1))
-    across = float(share @ (from_b[:, 0] * from_a[:, 1] - from_b[:, 1] * from_a[:, 0]))
-    turn = Pose2(0.0, 0.0, float(np.arctan2(across, along)))
-    shift = middle_a - turn.apply(middle_b)
-    return Pose2(float(shift[0]), float(shift[1]), turn.theta)
