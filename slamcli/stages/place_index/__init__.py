@@ -23,7 +23,8 @@ Kind = TypeVar("Kind", bound=np.generic)
 
 # With keys of this length, ten thousand keyframes have three entries in a bucket: what is read
 # grows little with a map, and twelve tables still find half of the descriptors that differ in an
-# eighth of their bits. [benchmarks/backend.py: 2.1 ms a query with 1,000 keyframes, 2.6 ms with 10,000]
+# eighth of their bits.
+# [benchmarks/backend.py: 2.1 ms a query with 1,000 keyframes, 2.6 ms with 10,000]
 _TABLES = 12
 _KEY_BITS = 20
 # Entries of a bucket that are read, the newest first.
