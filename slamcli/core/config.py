@@ -1,4 +1,4 @@
-"""Options that cross walls, with their defaults; a command's flags and run.toml mirror them."""
+"""Options of all stages, with their defaults; the command line and run.toml use the same fields."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Literal
 
 from slamcli.core.errors import InputError
 
-if TYPE_CHECKING:  # numpy, which `slam --help` need not wait for
+if TYPE_CHECKING:  # numpy, which `slam stitch --help` need not load
+    from pathlib import Path
+
     from slamcli.core.networks import MatchNetwork, PointNetwork
 
 FeatureMethod = Literal["orb", "sift", "aliked", "disk"]
@@ -18,13 +20,13 @@ MapFormat = Literal["png", "geotiff", "deepzoom", "nav2"]
 Layer = Literal["resolution", "views", "last-frame"]
 Blend = Literal["best", "feather", "multiband", "median", "mean"]
 
-# FrameCache enlarged more than this eat the memory and show nothing new.
+# Pictures enlarged more than this take memory and show nothing new.
 _MAX_ENLARGEMENT = 8.0
 
 
 @dataclass(frozen=True, slots=True)
 class FeatureOptions:
-    """What is found in a picture. ORB's defaults are OpenCV's and the 2015 thesis's.
+    """Options of feature detection; ORB's defaults are OpenCV's and those of the 2015 thesis.
 
     Attributes
     ----------
@@ -32,31 +34,31 @@ class FeatureOptions:
     count : int
         Most points kept a picture.
     spread : bool
-        Keep the strongest points of every part of the picture, not the strongest of all: for a
-        rigid fit a wide base is worth more than sharp corners side by side.
+        Keep the strongest points of every part of the picture, not the strongest of all: a rigid
+        fit gains more from a wide base than from strong corners side by side.
     refine : bool
-        Move ORB's points, which lie on whole pixels of their pyramid level, to sub-pixel places.
+        Refine ORB's points, on whole pixels of their pyramid level, to sub-pixel positions.
     upright : bool
-        Describe ORB's and SIFT's points as the robot sees them, not turned with the texture: more
-        telling while the robot turns by less than some 10 degrees between two frames, blind beyond.
+        Describe ORB's and SIFT's points without rotation invariance: more distinctive while the
+        robot turns by less than some 10 degrees between two frames, without matches beyond.
     network : PointNetwork or None
-        What ALIKED and DISK are.
+        Of ALIKED or DISK.
     scale_factor, levels, edge_threshold, first_level, wta_k, patch_size, fast_threshold
-        ORB's own (Rublee et al., ICCV 2011); edge_threshold and patch_size in pixels.
+        Of ORB (Rublee et al., ICCV 2011); edge_threshold and patch_size in pixels.
     min_fast_threshold : int
-        Tried when `fast_threshold` finds fewer than `count` points: a floor of low contrast.
+        Used where `fast_threshold` finds fewer than `count` points: a floor of low contrast.
     contrast_threshold : float
-        SIFT's own.
+        Of SIFT.
     clean : bool
-        The thesis's ``clean_image``: a low-pass, then a threshold.
+        Low-pass the picture, then turn dark pixels black (``clean_image`` of the thesis).
     clean_kernel_pixels : int
         Side of the low-pass's box.
     clean_threshold : int
         Gray level below which a pixel becomes black.
     roi : bool
-        The thesis's ``_apply_roi``: leave out points near the border of what was seen.
+        Leave out points near the border of the region seen (``_apply_roi`` of the thesis).
     roi_border_pixels : int
-        How near.
+        Width of that border, in the pixels of a point's pyramid level.
     """
 
     method: FeatureMethod = "orb"
@@ -95,7 +97,7 @@ class FeatureOptions:
 
 @dataclass(frozen=True, slots=True)
 class MatchOptions:
-    """How two sets of features become one transform.
+    """Options of descriptor matching and of the fit to the matches (RANSAC).
 
     Attributes
     ----------
@@ -105,46 +107,47 @@ class MatchOptions:
         Which matches are kept: those clearly better than the second best, or those that are each
         other's best.
     ratio : float
-        Lowe's: best over second-best distance must be below it. Hundreds of points on a worn
-        floor want a milder one than thousands in a photograph.
+        Of Lowe's ratio test: best over second-best distance must be below it. Hundreds of points on
+        a worn floor need a larger one than thousands in a photograph.
     network : MatchNetwork or None
-        Pairs the points in place of the nearest descriptors and the filter.
+        Matches the points in place of the nearest descriptors and the filter.
     max_distance : float or None
-        Descriptor distance above which a match is dropped (the thesis's cost filter).
+        Descriptor distance above which a match is dropped (the cost filter of the thesis).
     max_size_ratio : float or None
         A point of the floor is as large in every bird's-eye view: a match whose points' sizes
         differ by more than this factor is dropped. None: the views' scales are not known.
     max_angle_radians : float
-        By so much more or less than a rigid fit or a similarity turns may an inlier's surroundings
-        be turned: true matches are within it but for a few, others by chance.
+        Largest difference between the rotation of an inlier's two points and that of the rigid fit
+        or similarity: nearly all true matches are within it, others only by chance.
     threshold : float or None
         A match is an inlier when its residual is below this: metres (pixels without calibration).
-        None: `threshold_sigmas` times what the sigmas of both points explain.
+        None: `threshold_sigmas` times the sigma that follows from both points' own.
     threshold_sigmas : float
-        Generous, as the points' sigmas know nothing of a calibration's errors.
+        Large, as the points' sigmas leave out a calibration's errors.
     confidence : float
-        Of RANSAC having drawn one all-inlier sample when it stops.
+        Probability that RANSAC has drawn a sample of inliers only when it stops.
     max_iterations : int
     min_inliers : int
     min_inlier_ratio : float
-        Share of the matches that must be inliers.
+        Smallest share of inliers among the matches.
     min_spread : float
-        Of the inliers over the view: their narrower extent over that of all points of the view.
+        Smallest ratio of the inliers' narrower extent to that of all points of the view.
     max_residual_ratio : float
-        Of the inliers' root mean square residual to the threshold. Matches that agree by chance
-        fill the disc evenly, which gives 0.71; true ones crowd at its centre.
+        Largest ratio of the inliers' root mean square residual to the threshold. Chance matches
+        have residuals of even density over the disc, which gives 0.71; true ones small residuals.
     max_rival_share : float
-        Of the inliers: with more matches than this agreeing on another transform, neither is.
+        Largest share, of the inliers, of matches that agree on another transform: beyond it the fit
+        is ambiguous.
     max_scale : float
         Largest scale, or 1 over the smallest, that a similarity, affinity or homography may have
         anywhere among the inliers.
     max_stretch : float
         Largest ratio of the scales in two directions that an affinity or homography may have.
     search_radius : float or None
-        Given a guess, matches farther from it are not tried: metres (pixels without calibration).
+        Given a prior, matches farther from it are left out: metres (pixels without calibration).
         None: a hundred times the points' typical sigma.
     search_angle_radians : float
-        The guess's uncertainty in heading; adds its share of a point's distance to the radius.
+        Uncertainty of the prior's heading; times a point's distance it adds to the radius.
     seed : int
     """
 
@@ -172,54 +175,74 @@ class MatchOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class NetworkFiles:
+    """Files of trained networks, and how points are matched.
+
+    Attributes
+    ----------
+    weights : Path or None
+        Of ALIKED or DISK, as ONNX.
+    network_size : (int, int) or None
+        Width and height of the pictures that they take; None: what the published files take.
+    matcher : str
+    matcher_weights : Path or None
+        Of LightGlue, as ONNX.
+    """
+
+    weights: Path | None = None
+    network_size: tuple[int, int] | None = None
+    matcher: Literal["nearest", "lightglue"] = "nearest"
+    matcher_weights: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class MapperOptions:
-    """How frames become poses.
+    """Options of the mapper: registration of frames, keyframes, loop closure.
 
     Attributes
     ----------
     features, matching
-        Of the stages of those names; the model is always rigid.
+        The model is always rigid.
     metres_per_pixel : float or None
         Resolution of the views that are matched; None chooses it from the camera's sampling.
     recent_keyframes : int
-        How many of the latest keyframes a new frame is compared with.
+        Number of latest keyframes that a frame is compared with.
     keyframe_overlap : float
-        A frame that shares less of its floor with the current keyframe becomes one itself.
+        A frame that shares less of its floor with the current keyframe becomes a keyframe.
     min_overlap : float
-        Least share of floor that two frames must both see for their fit to be believed.
+        Smallest share of floor in common for a fit to be accepted.
     max_turn_degrees : float
-        Most that the robot may have turned between two frames that are compared: floors with lines
-        and squares look the same again after a quarter or half turn.
+        Largest turn between two frames that are compared: floors with lines and squares look the
+        same again after a quarter or half turn.
     min_score : float
-        Least correlation of the overlap's pixels for a fit to be believed, in [-1, 1].
+        Smallest correlation of the overlap's pixels for a fit to be accepted, in [-1, 1].
     tilt_sigma_degrees : float
-        By how much the camera's pitch varies from frame to frame, one standard deviation.
+        Standard deviation of the camera's pitch from frame to frame.
     refine : bool
-        Refine each fit on the pixels themselves.
+        Refine each fit on the pixels themselves (photometric refinement).
     dense : bool
-        Search the pixels for the motion where features do not convince.
+        Search for the motion by correlation of pixels where features do not suffice.
     search_angle_degrees : float
-        Turns tried to either side by that search.
+        Largest turn to either side in that search.
     search_share_of_range : float
-        How far around the motion that the robot's latest one foretells it looks, as a share of how
-        far the camera sees.
+        Radius of that search around the motion model's prediction, as a share of the camera's
+        range.
     min_dense_score : float
-        Least correlation of the overlap's detail for what a search found to be believed.
+        Smallest correlation of the overlap's detail for a searched motion to be accepted.
     max_rival_evidence : float
-        Most that another motion may explain, as a share of what the best one does.
+        Largest evidence for another motion, as a share of that for the best one.
     max_sigma_share : float
-        A searched motion less well known than this, as a share of how far the camera sees, in any
-        direction is not believed.
+        Largest sigma of a searched motion, in any direction, as a share of the camera's range.
     max_step_metres : float or None
-        The farthest that the robot goes between two frames that follow each other. Where a floor
-        repeats, less than half its period tells which of its like spots is meant. None: not known.
-    most_hypotheses : int
-        So many motions of a search are followed to the finest level.
+        Largest distance between two consecutive frames. On a floor with a repeating pattern, less
+        than half its period makes the motion unambiguous. None: unknown.
+    max_hypotheses : int
+        Motions of a search that are followed to the finest pyramid level.
     convincing_inliers : int
     convincing_score : float
-        A fit with so many inliers, whose pixels correlate so well, needs no search.
+        A fit with at least this many inliers and this correlation needs no search.
     loops : bool
-        Look for floor that was seen before: to close loops, and to know a robot that was carried.
+        Recognise floor that was mapped before: loop closure and relocalisation.
     """
 
     features: FeatureOptions = field(default_factory=lambda: FeatureOptions(count=1000))
@@ -247,18 +270,18 @@ class MapperOptions:
 
 @dataclass(frozen=True, slots=True)
 class PaintOptions:
-    """How placed frames become the picture of the map.
+    """Options of painting the map's picture from frames with poses.
 
     Attributes
     ----------
     metres_per_pixel : float or None
         None chooses it from the camera's sampling.
     blend : str
-        How the views of a spot become one colour.
+        Blending of several views of one spot.
     gain : bool
         Even out exposure and vignetting.
     obstacles : bool
-        Keep what stands on the floor or moved out of it, where another view saw the floor.
+        Keep obstacles and moving things out of the map where another view shows the floor.
     """
 
     metres_per_pixel: float | None = None
@@ -269,7 +292,7 @@ class PaintOptions:
 
 @dataclass(frozen=True, slots=True)
 class Datum:
-    """Where the map's origin lies on the earth.
+    """Position and heading of the map's origin on Earth.
 
     Attributes
     ----------
@@ -286,24 +309,24 @@ class Datum:
 
 @dataclass(frozen=True, slots=True)
 class ProductOptions:
-    """What is written of the map.
+    """Options of the map's files.
 
     Attributes
     ----------
     paint : PaintOptions
     formats : tuple of str
     layers : tuple of str
-        What else is written for every pixel.
+        Further values that are written for every pixel.
     nav_lines : bool
-        Painted lines are obstacles in the Nav2 map, in place of what stands.
+        Painted lines are occupied in the Nav2 map, in place of obstacles.
     nav_metres_per_pixel : float
         Of the Nav2 map; never finer than the mosaic.
     turn_radians : float
-        The map is turned counter-clockwise by so much.
+        Counter-clockwise rotation of the map.
     crop : (float, float, float, float) or None
         x_min, y_min, x_max, y_max of the turned map, metres.
     memory_bytes : int
-        For all that the process holds; pictures and canvases get what the poses leave of it.
+        Of the whole process; pictures and canvases get what the poses leave of it.
     datum : Datum or None
     """
 

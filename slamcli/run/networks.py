@@ -2,36 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Literal
 
 from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions
+from slamcli.core.config import NetworkFiles as NetworkFiles
 from slamcli.core.errors import InputError
 from slamcli.io.networks import load_match_network, load_point_network
 
 LEARNED = ("aliked", "disk")
-
-
-@dataclass(frozen=True, slots=True)
-class NetworkFiles:
-    """What the user said of networks.
-
-    Attributes
-    ----------
-    weights : Path or None
-        Of ALIKED or DISK, as ONNX.
-    network_size : (int, int) or None
-        Width and height of the pictures that they take; None: what the published files take.
-    matcher : str
-    matcher_weights : Path or None
-        Of LightGlue, as ONNX.
-    """
-
-    weights: Path | None = None
-    network_size: tuple[int, int] | None = None
-    matcher: Literal["nearest", "lightglue"] = "nearest"
-    matcher_weights: Path | None = None
 
 
 NO_NETWORKS = NetworkFiles()
