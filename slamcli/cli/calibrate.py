@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ from slamcli.cli.options import common
 from slamcli.cli.options.fields import filled, option, stacked
 from slamcli.cli.options.values import PATH, Numbers
 
+_target = partial(option, "CalibrateOptions")
+
 _target_options = stacked(
     click.option(
         "--side",
@@ -19,8 +22,7 @@ _target_options = stacked(
         show_default=True,
         help="Metres: side of the square or the marker, or of one field of the chessboard.",
     ),
-    option(
-        "CalibrateOptions",
+    _target(
         "corners",
         "--corners",
         Numbers("x,y x,y x,y x,y", 2, groups=4),
@@ -33,21 +35,16 @@ _target_options = stacked(
         "refines that calibration by the frames of a drive, given in place of photos.",
     ),
     common.calibration,
-    option(
-        "CalibrateOptions",
+    _target(
         "chessboard",
         "--chessboard",
         Numbers("8x6", 2, separator="x", min_whole=3),
         "Use a chessboard instead, of this number of inner corners along both sides.",
     ),
-    option(
-        "CalibrateOptions",
-        "marker",
-        "--aruco",
-        text="Use an ArUco marker instead, of this dictionary, such as 4x4_50.",
+    _target(
+        "marker", "--aruco", text="Use an ArUco marker instead, of this dictionary, such as 4x4_50."
     ),
-    option(
-        "CalibrateOptions",
+    _target(
         "intrinsics_path",
         "--intrinsics",
         PATH,

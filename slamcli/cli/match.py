@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +20,16 @@ _ratio = ratio(
     "PairOptions", f"{RATIO_TEXT} Default: {MatchOptions().ratio} with a calibration, else 0.8."
 )
 
+_pair = partial(option, "PairOptions")
+
 _pair_options = stacked(
-    option(
-        "PairOptions",
+    _pair(
         "model",
         "--model",
         click.Choice(["rigid", "similarity", "affine", "homography"]),
         "Model of the transform. Default: rigid with a calibration, else similarity.",
     ),
-    option(
-        "PairOptions",
+    _pair(
         "method",
         "--features",
         click.Choice(["auto", *METHODS]),
@@ -36,8 +37,7 @@ _pair_options = stacked(
         "they are and enlarged, and accepts fewer inliers where the pixels agree.",
         default="auto",
     ),
-    option(
-        "PairOptions",
+    _pair(
         "count",
         "--count",
         AT_LEAST_ONE,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,23 +20,17 @@ from slamcli.cli.options.values import PATH, POSITIVE, Words
 from slamcli.core.config import MapperOptions, MatchOptions
 from slamcli.core.telemetry import TelemetryOptions
 
+_stitch = partial(option, "StitchOptions")
+
 _frame_options = stacked(
-    option(
-        "StitchOptions",
+    _stitch(
         "frame_rate",
         "--frame-rate",
         POSITIVE,
         "Frames per second, which give the frames their stamps.",
     ),
-    option(
-        "StitchOptions",
-        "debug",
-        "--debug",
-        text="Also draw every frame's matches, in matches/.",
-        is_flag=True,
-    ),
-    option(
-        "StitchOptions",
+    _stitch("debug", "--debug", text="Also draw every frame's matches, in matches/.", is_flag=True),
+    _stitch(
         "export",
         "--export",
         Words("tum", "kitti", "g2o", "links", "geojson"),
@@ -51,23 +46,20 @@ _run_options = stacked(
         is_flag=True,
         help="Only check the frames for faults and estimate the time and memory of a run.",
     ),
-    option(
-        "StitchOptions",
+    _stitch(
         "extend",
         "--extend",
         PATH,
         "Add FRAMES, of a later drive, to a finished map: the output of slam stitch.",
         metavar="MAP",
     ),
-    option(
-        "StitchOptions",
+    _stitch(
         "resume",
         "--resume",
         text="Continue an interrupted run of the same frames and options.",
         is_flag=True,
     ),
-    option(
-        "StitchOptions",
+    _stitch(
         "self_calibrate",
         "--self-calibrate/--no-self-calibrate",
         text="Self-calibration: refine the camera, and the tilt and height of every frame, by the "

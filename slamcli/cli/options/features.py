@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import click
@@ -10,7 +11,8 @@ from slamcli.cli.options.fields import Decorator, option, stacked
 from slamcli.cli.options.values import AT_LEAST_ONE, PATH, POSITIVE, Numbers
 from slamcli.core.config import FeatureOptions, NetworkFiles
 
-_FEATURES, _NETWORKS = FeatureOptions(), NetworkFiles()
+_feature = partial(option, FeatureOptions())
+_network = partial(option, NetworkFiles())
 
 METHODS = ("orb", "sift", "aliked", "disk")
 
@@ -32,130 +34,93 @@ def feature_kind(group: FeatureOptions) -> Decorator[Any]:
 
 
 feature_details = stacked(
-    option(
-        _NETWORKS,
-        "weights",
-        "--weights",
-        PATH,
-        "ALIKED, DISK: the network, an ONNX file of your own.",
-    ),
-    option(
-        _NETWORKS,
+    _network("weights", "--weights", PATH, "ALIKED, DISK: the network, an ONNX file of your own."),
+    _network(
         "network_size",
         "--network-size",
         SIZE,
         "ALIKED, DISK: size in pixels of the picture that the network takes. Default: 640x640 for "
         "ALIKED, 1024x1024 for DISK.",
     ),
-    option(
-        _FEATURES,
+    _feature(
         "upright",
         "--upright/--no-upright",
         text="ORB, SIFT: describe points without rotation invariance, for frames that differ "
         "little in heading.",
     ),
-    option(
-        _FEATURES,
+    _feature(
         "spread",
         "--spread/--no-spread",
         text="Keep the strongest points of every part of the picture, not the strongest of all.",
     ),
-    option(
-        _FEATURES,
-        "refine",
-        "--refine/--no-refine",
-        text="ORB: refine points to sub-pixel positions.",
-    ),
-    option(
-        _FEATURES,
+    _feature("refine", "--refine/--no-refine", text="ORB: refine points to sub-pixel positions."),
+    _feature(
         "clean",
         "--clean/--no-clean",
         text="Before detection, low-pass the picture and turn its dark pixels black.",
     ),
-    option(
-        _FEATURES,
+    _feature(
         "clean_kernel_pixels",
         "--clean-kernel",
         AT_LEAST_ONE,
         "--clean: side of the low-pass's box, in pixels.",
     ),
-    option(
-        _FEATURES,
+    _feature(
         "clean_threshold",
         "--clean-threshold",
         click.IntRange(0, 255),
         "--clean: gray level up to which a pixel turns black.",
     ),
-    option(
-        _FEATURES,
+    _feature(
         "roi",
         "--roi/--no-roi",
         text="Leave out points near the border of the region seen (region of interest).",
     ),
-    option(
-        _FEATURES,
+    _feature(
         "roi_border_pixels",
         "--roi-border",
         click.IntRange(min=0),
         "--roi: width of that border, in pixels of the point's pyramid level.",
     ),
-    option(
-        _FEATURES, "levels", "--levels", click.IntRange(1, 32), "ORB: number of pyramid levels."
-    ),
-    option(
-        _FEATURES,
+    _feature("levels", "--levels", click.IntRange(1, 32), "ORB: number of pyramid levels."),
+    _feature(
         "scale_factor",
         "--scale-factor",
         click.FloatRange(1.01, 4.0),
         "ORB: scale from one pyramid level to the next.",
     ),
-    option(
-        _FEATURES,
+    _feature(
         "first_level",
         "--first-level",
         click.IntRange(0, 31),
         "ORB: the pyramid level that is the picture itself; levels below it are enlarged.",
     ),
-    option(
-        _FEATURES,
+    _feature(
         "edge_threshold",
         "--edge-threshold",
         AT_LEAST_ONE,
         "ORB: pixels left out at each level's border.",
     ),
-    option(
-        _FEATURES,
+    _feature(
         "patch_size",
         "--patch-size",
         click.IntRange(min=5),
         "ORB: side in pixels of the patch that a descriptor covers.",
     ),
-    option(
-        _FEATURES,
+    _feature(
         "wta_k",
         "--wta-k",
         click.IntRange(2, 4),
         "ORB: points compared for each element of a descriptor.",
     ),
-    option(
-        _FEATURES,
-        "fast_threshold",
-        "--fast-threshold",
-        click.IntRange(1, 255),
-        "ORB: contrast of a corner.",
+    _feature(
+        "fast_threshold", "--fast-threshold", click.IntRange(1, 255), "ORB: contrast of a corner."
     ),
-    option(
-        _FEATURES,
+    _feature(
         "min_fast_threshold",
         "--min-fast-threshold",
         click.IntRange(1, 255),
         "ORB: contrast of a corner where --fast-threshold finds too few.",
     ),
-    option(
-        _FEATURES,
-        "contrast_threshold",
-        "--contrast-threshold",
-        POSITIVE,
-        "SIFT: contrast of a point.",
-    ),
+    _feature("contrast_threshold", "--contrast-threshold", POSITIVE, "SIFT: contrast of a point."),
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import click
 
 from slamcli.cli.options.features import feature_kind
@@ -9,98 +11,85 @@ from slamcli.cli.options.fields import option, stacked
 from slamcli.cli.options.values import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, SHARE
 from slamcli.core.config import MapperOptions
 
-_MAPPER = MapperOptions()
+_mapper = partial(option, MapperOptions())
 _HALF_TURN = click.FloatRange(0, 180)
 
 mapper_options = stacked(
-    feature_kind(_MAPPER.features),
-    option(
-        _MAPPER,
+    feature_kind(MapperOptions().features),
+    _mapper(
         "metres_per_pixel",
         "--view-metres-per-pixel",
         POSITIVE,
         "Resolution of the bird's-eye views that are matched. Default: chosen from the camera's "
         "sampling of the floor.",
     ),
-    option(
-        _MAPPER,
+    _mapper(
         "recent_keyframes",
         "--recent-keyframes",
         AT_LEAST_ONE,
         "Number of latest keyframes that a frame is compared with.",
     ),
-    option(
-        _MAPPER,
+    _mapper(
         "keyframe_overlap",
         "--keyframe-overlap",
         SHARE,
         "A frame that shares less floor than this with the latest keyframe becomes a keyframe.",
     ),
-    option(
-        _MAPPER,
+    _mapper(
         "min_overlap",
         "--min-overlap",
         SHARE,
         "Smallest share of floor in common for a fit to be accepted.",
     ),
-    option(
-        _MAPPER,
+    _mapper(
         "max_turn_degrees",
         "--max-turn",
         _HALF_TURN,
         "Degrees: largest turn between two frames that are compared.",
     ),
-    option(
-        _MAPPER,
+    _mapper(
         "min_score",
         "--min-score",
         click.FloatRange(-1, 1),
         "Smallest correlation of the overlap's pixels for a fit to be accepted.",
     ),
-    option(
-        _MAPPER,
+    _mapper(
         "tilt_sigma_degrees",
         "--tilt-sigma",
         NOT_NEGATIVE,
         "Degrees by which the camera's pitch varies from frame to frame (one standard deviation).",
     ),
-    option(
-        _MAPPER,
+    _mapper(
         "dense",
         "--dense/--no-dense",
         text="Search for the motion by correlation of pixels where features do not suffice.",
     ),
-    option(
-        _MAPPER,
+    _mapper(
         "search_angle_degrees",
         "--search-angle",
         _HALF_TURN,
         "--dense: degrees of turn to either side that are searched.",
     ),
-    option(
-        _MAPPER,
+    _mapper(
         "max_rival_evidence",
         "--max-rival",
         SHARE,
         "A motion is rejected as ambiguous when another one has more than this share of its "
         "evidence.",
     ),
-    option(
-        _MAPPER,
+    _mapper(
         "max_step_metres",
         "--max-step",
         POSITIVE,
         "Metres: largest distance from one frame to the next. On a floor with a repeating pattern "
         "give less than half its period, which makes the motion unambiguous.",
     ),
-    option(
-        _MAPPER,
+    _mapper(
         "loops",
         "--loops/--no-loops",
         text="Loop closure and relocalisation: recognise floor that was mapped before.",
     ),
-    option(
-        _MAPPER,
+    _mapper(
         "refine",
         "--refine-pixels/--no-refine-pixels",
         text="Refine each fit on the pixels themselves (photometric refinement).",

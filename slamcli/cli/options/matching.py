@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import click
@@ -11,7 +12,8 @@ from slamcli.cli.options.fields import Decorator, option, stacked
 from slamcli.cli.options.values import AT_LEAST_ONE, PATH, POSITIVE
 from slamcli.core.config import MatchOptions, NetworkFiles
 
-_MATCHING, _NETWORKS = MatchOptions(), NetworkFiles()
+_match = partial(option, MatchOptions())
+_network = partial(option, NetworkFiles())
 
 RATIO_TEXT = "Largest ratio of the best to the second-best distance (Lowe's ratio test)."
 
@@ -24,70 +26,51 @@ def ratio(group: MatchOptions | str, text: str = RATIO_TEXT) -> Decorator[Any]:
 def matching_details(ratio: Decorator[Any]) -> Decorator[Any]:
     """Return the options of matching, with the --ratio of one command."""
     return stacked(
-        option(
-            _NETWORKS,
+        _network(
             "matcher",
             "--matcher",
             click.Choice(["nearest", "lightglue"]),
             "Match points by their nearest descriptors, or ALIKED's and DISK's by LightGlue.",
         ),
-        option(
-            _NETWORKS,
+        _network(
             "matcher_weights",
             "--matcher-weights",
             PATH,
             "LightGlue: the network, an ONNX file of your own.",
         ),
-        option(
-            _MATCHING,
+        _match(
             "filter",
             "--filter",
             click.Choice(["ratio", "cross-check"]),
             "Keep matches better than the second best (see --ratio), or mutually best ones.",
         ),
         ratio,
-        option(
-            _MATCHING,
+        _match(
             "max_size_ratio",
             "--max-size-ratio",
             click.FloatRange(min=1),
             "Rigid fits: largest ratio of the sizes of two points that match.",
         ),
-        option(
-            _MATCHING,
+        _match(
             "max_distance",
             "--max-distance",
             POSITIVE,
             "Largest distance of two descriptors that match.",
         ),
-        option(
-            _MATCHING,
+        _match(
             "threshold",
             "--threshold",
             POSITIVE,
             "Largest residual of an inlier: metres, or pixels without a calibration. Default: from "
             "each point's uncertainty.",
         ),
-        option(
-            _MATCHING,
+        _match(
             "confidence",
             "--confidence",
             click.FloatRange(0, 1, min_open=True, max_open=True),
             "RANSAC: stop at this probability of having drawn a sample without outliers.",
         ),
-        option(
-            _MATCHING,
-            "max_iterations",
-            "--max-iterations",
-            AT_LEAST_ONE,
-            "RANSAC: most samples drawn.",
-        ),
-        option(
-            _MATCHING,
-            "min_inliers",
-            "--min-inliers",
-            click.IntRange(min=2),
-            "Fewest inliers of a fit.",
-        ),
-        seed(_MATCHING),
+        _match("max_iterations", "--max-iterations", AT_LEAST_ONE, "RANSAC: most samples drawn."),
+        _match("min_inliers", "--min-inliers", click.IntRange(min=2), "Fewest inliers of a fit."),
+        seed(MatchOptions()),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import click
@@ -12,7 +13,8 @@ from slamcli.cli.options.fields import option, stacked
 from slamcli.cli.options.values import POSITIVE, Bytes, Degrees, Numbers, Words
 from slamcli.core.config import Datum, ProductOptions
 
-_PRODUCTS = ProductOptions()
+_product = partial(option, ProductOptions())
+_paint = partial(option, ProductOptions().paint)
 
 
 def _datum(_context: Any, _option: Any, value: tuple[float, ...] | None) -> Datum | None:
@@ -22,69 +24,55 @@ def _datum(_context: Any, _option: Any, value: tuple[float, ...] | None) -> Datu
 
 product_options = stacked(
     metres_per_pixel,
-    option(
-        _PRODUCTS.paint,
+    _paint(
         "blend",
         "--blend",
         click.Choice(["best", "feather", "multiband", "median", "mean"]),
         "How several views of one spot are blended; best takes the sharpest and hides the seams.",
     ),
-    option(
-        _PRODUCTS.paint,
-        "gain",
-        "--gain/--no-gain",
-        text="Even out exposure and vignetting.",
-    ),
-    option(
-        _PRODUCTS.paint,
+    _paint("gain", "--gain/--no-gain", text="Even out exposure and vignetting."),
+    _paint(
         "obstacles",
         "--obstacles/--no-obstacles",
         text="Keep obstacles on the floor out of the map, in obstacles.png.",
     ),
-    option(
-        _PRODUCTS,
+    _product(
         "formats",
         "--format",
         Words("png", "geotiff", "deepzoom", "nav2"),
         "File formats of the map, separated by commas: png, geotiff, deepzoom, nav2.",
     ),
-    option(
-        _PRODUCTS,
+    _product(
         "layers",
         "--layers",
         Words("resolution", "views", "last-frame"),
         "Also write for every pixel, separated by commas: resolution, views (their number), "
         "last-frame.",
     ),
-    option(
-        _PRODUCTS,
+    _product(
         "nav_lines",
         "--nav-lines",
         text="Nav2: mark painted lines as occupied, in place of obstacles.",
     ),
-    option(
-        _PRODUCTS,
+    _product(
         "nav_metres_per_pixel",
         "--nav-resolution",
         POSITIVE,
         "Nav2: metres per pixel of the occupancy grid, at most; never finer than the map.",
     ),
-    option(
-        _PRODUCTS,
+    _product(
         "turn_radians",
         "--rotate",
         Degrees(),
         "Degrees by which the map is rotated, counter-clockwise.",
     ),
-    option(
-        _PRODUCTS,
+    _product(
         "crop",
         "--crop",
         Numbers("x_min,y_min,x_max,y_max", 4),
         "Paint only x_min,y_min,x_max,y_max, metres in the rotated map.",
     ),
-    option(
-        _PRODUCTS,
+    _product(
         "datum",
         "--datum",
         Numbers("latitude,longitude[,heading]", 2, 3),
@@ -92,8 +80,7 @@ product_options = stacked(
         "counter-clockwise from east, in degrees.",
         callback=_datum,
     ),
-    option(
-        _PRODUCTS,
+    _product(
         "memory_bytes",
         "--memory",
         Bytes(),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import click
 
 from slamcli.cli.options.common import seed
@@ -10,33 +12,30 @@ from slamcli.cli.options.fields import option, stacked
 from slamcli.cli.options.values import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, SHARE
 from slamcli.simulation.config import SimulationOptions
 
-_DRIVE = SimulationOptions()
-_CAMERA, _DISTURBANCES = _DRIVE.camera, _DRIVE.disturbances
+_drive = partial(option, SimulationOptions())
+_camera = partial(option, SimulationOptions().camera)
+_disturbance = partial(option, SimulationOptions().disturbances)
 _NUMBER = click.IntRange(min=0)
 
 floor_options = stacked(
-    option(
-        _DRIVE,
+    _drive(
         "floor",
         "--floor",
         text="asphalt, bare, carpet, concrete, course, planks, terrazzo, tiles, or a picture file.",
     ),
-    option(
-        _DRIVE,
+    _drive(
         "floor_metres_per_pixel",
         "--floor-metres-per-pixel",
         POSITIVE,
         "Resolution of a picture given as --floor.",
     ),
-    option(
-        _DRIVE,
+    _drive(
         "wear",
         "--wear",
         SHARE,
         "How worn the floor is; at 0 a course is pure black and white, and all tiles are alike.",
     ),
-    option(
-        _DRIVE,
+    _drive(
         "room_metres",
         "--room",
         NOT_NEGATIVE,
@@ -45,124 +44,93 @@ floor_options = stacked(
 )
 
 path_options = stacked(
-    option(
-        _DRIVE,
+    _drive(
         "path",
         "--path",
         text="line, loop, lawnmower, drift (a loop with free heading), or a CSV of poses with "
         "columns x, y, heading.",
     ),
-    option(_DRIVE, "length_metres", "--length", POSITIVE, "Metres: length of the path."),
-    option(_DRIVE, "frames", "--frames", AT_LEAST_ONE, "Number of frames."),
-    option(_DRIVE, "frame_rate_hertz", "--frame-rate", POSITIVE, "Frames per second."),
-    option(
-        _DRIVE, "lane_metres", "--lane", POSITIVE, "Metres: distance between a lawnmower's lanes."
-    ),
+    _drive("length_metres", "--length", POSITIVE, "Metres: length of the path."),
+    _drive("frames", "--frames", AT_LEAST_ONE, "Number of frames."),
+    _drive("frame_rate_hertz", "--frame-rate", POSITIVE, "Frames per second."),
+    _drive("lane_metres", "--lane", POSITIVE, "Metres: distance between a lawnmower's lanes."),
 )
 
 camera_options = stacked(
-    option(_CAMERA, "size", "--size", SIZE, "Width and height of a frame, in pixels."),
-    option(
-        _CAMERA,
-        "height_metres",
-        "--height",
-        POSITIVE,
-        "Metres: the camera's height over the floor.",
-    ),
-    option(
-        _CAMERA,
+    _camera("size", "--size", SIZE, "Width and height of a frame, in pixels."),
+    _camera("height_metres", "--height", POSITIVE, "Metres: the camera's height over the floor."),
+    _camera(
         "pitch_degrees",
         "--pitch",
         click.FloatRange(1, 90),
         "Degrees: the camera's pitch below the horizontal.",
     ),
-    option(
-        _CAMERA,
+    _camera(
         "roll_degrees",
         "--roll",
         click.FloatRange(-45, 45),
         "Degrees: the camera's roll, right side down.",
     ),
-    option(
-        _CAMERA,
+    _camera(
         "field_of_view_degrees",
         "--field-of-view",
         click.FloatRange(5, 150),
         "Degrees: field of view across the picture's width.",
     ),
-    option(_CAMERA, "k1", "--k1", text="Radial distortion of the lens, r^2."),
-    option(_CAMERA, "k2", "--k2", text="Radial distortion of the lens, r^4."),
+    _camera("k1", "--k1", text="Radial distortion of the lens, r^2."),
+    _camera("k2", "--k2", text="Radial distortion of the lens, r^4."),
 )
 
 disturbance_options = stacked(
-    option(
-        _DISTURBANCES,
+    _disturbance(
         "noise_gray",
         "--noise",
         NOT_NEGATIVE,
         "Gray levels: standard deviation of each pixel's noise.",
     ),
-    option(
-        _DISTURBANCES,
+    _disturbance(
         "motion_blur",
         "--motion-blur",
         SHARE,
         "Share of the time between two frames that the shutter is open for.",
     ),
-    option(
-        _DISTURBANCES,
-        "flicker",
-        "--flicker",
-        click.FloatRange(0, 0.95),
-        "Largest change of exposure, as a share.",
+    _disturbance(
+        "flicker", "--flicker", click.FloatRange(0, 0.95), "Largest change of exposure, as a share."
     ),
-    option(
-        _DISTURBANCES,
-        "vignetting",
-        "--vignetting",
-        SHARE,
-        "Share of the brightness lost in the corners.",
+    _disturbance(
+        "vignetting", "--vignetting", SHARE, "Share of the brightness lost in the corners."
     ),
-    option(
-        _DISTURBANCES,
+    _disturbance(
         "rocking_degrees",
         "--rocking",
         NOT_NEGATIVE,
         "Degrees: standard deviation of pitch and roll from frame to frame.",
     ),
-    option(
-        _DISTURBANCES,
+    _disturbance(
         "bounce_metres",
         "--bounce",
         NOT_NEGATIVE,
         "Metres: standard deviation of the camera's height from frame to frame.",
     ),
-    option(
-        _DISTURBANCES,
+    _disturbance(
         "boxes",
         "--boxes",
         _NUMBER,
         "Number of boxes that stand on the floor along the path; every third one moves.",
     ),
-    option(
-        _DISTURBANCES,
-        "walkers",
-        "--walkers",
-        _NUMBER,
-        "Number of pairs of legs that walk through the view.",
+    _disturbance(
+        "walkers", "--walkers", _NUMBER, "Number of pairs of legs that walk through the view."
     ),
 )
 
 output_options = stacked(
-    option(
-        _DRIVE,
+    _drive(
         "square_side_metres",
         "--square-side",
         POSITIVE,
         "Metres: side of the calibration square in square.png.",
     ),
-    option(
-        _DRIVE,
+    _drive(
         "jpeg_quality",
         "--jpeg-quality",
         click.IntRange(1, 100),
@@ -170,4 +138,4 @@ output_options = stacked(
     ),
 )
 
-seed_option = seed(_DRIVE)
+seed_option = seed(SimulationOptions())

@@ -2,33 +2,33 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import click
 
 from slamcli.cli.options.fields import option, stacked
 from slamcli.cli.options.values import PATH, POSITIVE, Numbers
 from slamcli.core.telemetry import TelemetryOptions
 
+_file = partial(option, "TelemetryFiles")
 _TELEMETRY = TelemetryOptions()
 _SECONDS = Numbers("SECONDS|auto", 1, auto=True)
 
 telemetry_options = stacked(
-    option(
-        "TelemetryFiles",
+    _file(
         "odometry",
         "--odometry",
         PATH,
         "Odometry: CSV with stamp (s), x, y (m), heading (rad), or a TUM file. It gives poses "
         "where the floor shows no detail.",
     ),
-    option(
-        "TelemetryFiles",
+    _file(
         "compass",
         "--compass",
         PATH,
         "Headings: CSV with stamp and heading (rad from east) or bearing (from north).",
     ),
-    option(
-        "TelemetryFiles",
+    _file(
         "gps",
         "--gps",
         PATH,

@@ -1,9 +1,9 @@
-"""Options of all stages, with their defaults; the command line and run.toml use the same fields."""
+"""Options of feature detection and of matching."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from slamcli.core.errors import InputError
@@ -16,9 +16,6 @@ if TYPE_CHECKING:  # numpy, which `slam stitch --help` need not load
 FeatureMethod = Literal["orb", "sift", "aliked", "disk"]
 TransformModel = Literal["rigid", "similarity", "affine", "homography"]
 MatchFilter = Literal["ratio", "cross-check"]
-MapFormat = Literal["png", "geotiff", "deepzoom", "nav2"]
-Layer = Literal["resolution", "views", "last-frame"]
-Blend = Literal["best", "feather", "multiband", "median", "mean"]
 
 # Pictures enlarged more than this take memory and show nothing new.
 _MAX_ENLARGEMENT = 8.0
@@ -193,149 +190,3 @@ class NetworkFiles:
     network_size: tuple[int, int] | None = None
     matcher: Literal["nearest", "lightglue"] = "nearest"
     matcher_weights: Path | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class MapperOptions:
-    """Options of the mapper: registration of frames, keyframes, loop closure.
-
-    Attributes
-    ----------
-    features, matching
-        The model is always rigid.
-    metres_per_pixel : float or None
-        Resolution of the views that are matched; None chooses it from the camera's sampling.
-    recent_keyframes : int
-        Number of latest keyframes that a frame is compared with.
-    keyframe_overlap : float
-        A frame that shares less of its floor with the current keyframe becomes a keyframe.
-    min_overlap : float
-        Smallest share of floor in common for a fit to be accepted.
-    max_turn_degrees : float
-        Largest turn between two frames that are compared: floors with lines and squares look the
-        same again after a quarter or half turn.
-    min_score : float
-        Smallest correlation of the overlap's pixels for a fit to be accepted, in [-1, 1].
-    tilt_sigma_degrees : float
-        Standard deviation of the camera's pitch from frame to frame.
-    refine : bool
-        Refine each fit on the pixels themselves (photometric refinement).
-    dense : bool
-        Search for the motion by correlation of pixels where features do not suffice.
-    search_angle_degrees : float
-        Largest turn to either side in that search.
-    search_share_of_range : float
-        Radius of that search around the motion model's prediction, as a share of the camera's
-        range.
-    min_dense_score : float
-        Smallest correlation of the overlap's detail for a searched motion to be accepted.
-    max_rival_evidence : float
-        Largest evidence for another motion, as a share of that for the best one.
-    max_sigma_share : float
-        Largest sigma of a searched motion, in any direction, as a share of the camera's range.
-    max_step_metres : float or None
-        Largest distance between two consecutive frames. On a floor with a repeating pattern, less
-        than half its period makes the motion unambiguous. None: unknown.
-    max_hypotheses : int
-        Motions of a search that are followed to the finest pyramid level.
-    convincing_inliers : int
-    convincing_score : float
-        A fit with at least this many inliers and this correlation needs no search.
-    loops : bool
-        Recognise floor that was mapped before: loop closure and relocalisation.
-    """
-
-    features: FeatureOptions = field(default_factory=lambda: FeatureOptions(count=1000))
-    matching: MatchOptions = field(default_factory=MatchOptions)
-    metres_per_pixel: float | None = None
-    recent_keyframes: int = 5
-    keyframe_overlap: float = 0.7
-    min_overlap: float = 0.1
-    max_turn_degrees: float = 75.0
-    min_score: float = 0.3
-    tilt_sigma_degrees: float = 0.1
-    refine: bool = True
-    dense: bool = True
-    search_angle_degrees: float = 40.0
-    search_share_of_range: float = 0.25
-    min_dense_score: float = 0.45
-    max_rival_evidence: float = 0.75
-    max_sigma_share: float = 0.015
-    max_step_metres: float | None = None
-    max_hypotheses: int = 3
-    convincing_inliers: int = 120
-    convincing_score: float = 0.5
-    loops: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class PaintOptions:
-    """Options of painting the map's picture from frames with poses.
-
-    Attributes
-    ----------
-    metres_per_pixel : float or None
-        None chooses it from the camera's sampling.
-    blend : str
-        Blending of several views of one spot.
-    gain : bool
-        Even out exposure and vignetting.
-    obstacles : bool
-        Keep obstacles and moving things out of the map where another view shows the floor.
-    """
-
-    metres_per_pixel: float | None = None
-    blend: Blend = "best"
-    gain: bool = True
-    obstacles: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class Datum:
-    """Position and heading of the map's origin on Earth.
-
-    Attributes
-    ----------
-    latitude_degrees, longitude_degrees : float
-        WGS84.
-    east_heading_radians : float
-        From the east, counter-clockwise, to the map's x axis.
-    """
-
-    latitude_degrees: float
-    longitude_degrees: float
-    east_heading_radians: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class ProductOptions:
-    """Options of the map's files.
-
-    Attributes
-    ----------
-    paint : PaintOptions
-    formats : tuple of str
-    layers : tuple of str
-        Further values that are written for every pixel.
-    nav_lines : bool
-        Painted lines are occupied in the Nav2 map, in place of obstacles.
-    nav_metres_per_pixel : float
-        Of the Nav2 map; never finer than the mosaic.
-    turn_radians : float
-        Counter-clockwise rotation of the map.
-    crop : (float, float, float, float) or None
-        x_min, y_min, x_max, y_max of the turned map, metres.
-    memory_bytes : int
-        Of the whole process; pictures and canvases get what the poses leave of it.
-    datum : Datum or None
-    """
-
-    paint: PaintOptions = field(default_factory=PaintOptions)
-    formats: tuple[MapFormat, ...] = ("png",)
-    layers: tuple[Layer, ...] = ()
-    nav_lines: bool = False
-    nav_metres_per_pixel: float = 0.01
-    turn_radians: float = 0.0
-    crop: tuple[float, float, float, float] | None = None
-    memory_bytes: int = 1_400_000_000
-    datum: Datum | None = None
