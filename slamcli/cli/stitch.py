@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,6 +19,9 @@ from slamcli.cli.options.telemetry import telemetry_options
 from slamcli.cli.options.values import PATH, POSITIVE, Words
 from slamcli.core.config import MapperOptions, MatchOptions
 from slamcli.core.telemetry import TelemetryOptions
+
+if TYPE_CHECKING:
+    from slamcli.run.stitch.options import StitchOptions
 
 _stitch = partial(option, "StitchOptions")
 
@@ -44,7 +47,7 @@ _run_options = stacked(
     click.option(
         "--dry-run",
         is_flag=True,
-        help="Only check the frames for faults and estimate the time and memory of a run.",
+        help="Only check the frames for faults and estimate the time, memory and disk of a run.",
     ),
     _stitch(
         "extend",
@@ -113,14 +116,8 @@ def stitch(
         scheduler=flags["scheduler"],
     )
     resolved = filled(start, flags)
-    if flags["dry_run"] and resolved.extend:
-        raise click.UsageError("--dry-run does not take --extend")
     if flags["dry_run"]:
-        from slamcli.run.stitch.dry_run import forecast
-
-        with ProgressBar() as progress:
-            lines = forecast(frames, calibration, resolved, progress)
-        click.echo("\n".join(lines))
+        _dry_run(frames, calibration, resolved)
         return
     with ProgressBar() as progress:
         report = run_stitch(
@@ -135,3 +132,15 @@ def stitch(
         )
     click.echo("\n".join(report.lines))
     sys.exit(report.exit_code)
+
+
+def _dry_run(frames: tuple[Path, ...], calibration: Path | None, options: StitchOptions) -> None:
+    """Print the faults of the frames and what a run will take."""
+    from slamcli.cli.progress import ProgressBar
+    from slamcli.run.stitch.dry_run import forecast
+
+    if options.extend:
+        raise click.UsageError("--dry-run does not take --extend")
+    with ProgressBar() as progress:
+        lines = forecast(frames, calibration, options, progress)
+    click.echo("\n".join(lines))

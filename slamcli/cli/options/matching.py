@@ -23,54 +23,59 @@ def ratio(group: MatchOptions | str, text: str = RATIO_TEXT) -> Decorator[Any]:
     return option(group, "ratio", "--ratio", click.FloatRange(0, 1, min_open=True), text)
 
 
+_pairing = stacked(
+    _network(
+        "matcher",
+        "--matcher",
+        click.Choice(["nearest", "lightglue"]),
+        "Match points by their nearest descriptors, or ALIKED's and DISK's by LightGlue.",
+    ),
+    _network(
+        "matcher_weights",
+        "--matcher-weights",
+        PATH,
+        "LightGlue: the network, an ONNX file of your own.",
+    ),
+    _match(
+        "filter",
+        "--filter",
+        click.Choice(["ratio", "cross-check"]),
+        "Keep matches better than the second best (see --ratio), or mutually best ones.",
+    ),
+)
+
+_fitting = stacked(
+    _match(
+        "max_size_ratio",
+        "--max-size-ratio",
+        click.FloatRange(min=1),
+        "Rigid fits: largest ratio of the sizes of two points that match.",
+    ),
+    _match(
+        "max_distance",
+        "--max-distance",
+        POSITIVE,
+        "Largest distance of two descriptors that match.",
+    ),
+    _match(
+        "threshold",
+        "--threshold",
+        POSITIVE,
+        "Largest residual of an inlier: metres, or pixels without a calibration. Default: from "
+        "each point's uncertainty.",
+    ),
+    _match(
+        "confidence",
+        "--confidence",
+        click.FloatRange(0, 1, min_open=True, max_open=True),
+        "RANSAC: stop at this probability of having drawn a sample without outliers.",
+    ),
+    _match("max_iterations", "--max-iterations", AT_LEAST_ONE, "RANSAC: most samples drawn."),
+    _match("min_inliers", "--min-inliers", click.IntRange(min=2), "Fewest inliers of a fit."),
+    seed(MatchOptions()),
+)
+
+
 def matching_details(ratio: Decorator[Any]) -> Decorator[Any]:
     """Return the options of matching, with the --ratio of one command."""
-    return stacked(
-        _network(
-            "matcher",
-            "--matcher",
-            click.Choice(["nearest", "lightglue"]),
-            "Match points by their nearest descriptors, or ALIKED's and DISK's by LightGlue.",
-        ),
-        _network(
-            "matcher_weights",
-            "--matcher-weights",
-            PATH,
-            "LightGlue: the network, an ONNX file of your own.",
-        ),
-        _match(
-            "filter",
-            "--filter",
-            click.Choice(["ratio", "cross-check"]),
-            "Keep matches better than the second best (see --ratio), or mutually best ones.",
-        ),
-        ratio,
-        _match(
-            "max_size_ratio",
-            "--max-size-ratio",
-            click.FloatRange(min=1),
-            "Rigid fits: largest ratio of the sizes of two points that match.",
-        ),
-        _match(
-            "max_distance",
-            "--max-distance",
-            POSITIVE,
-            "Largest distance of two descriptors that match.",
-        ),
-        _match(
-            "threshold",
-            "--threshold",
-            POSITIVE,
-            "Largest residual of an inlier: metres, or pixels without a calibration. Default: from "
-            "each point's uncertainty.",
-        ),
-        _match(
-            "confidence",
-            "--confidence",
-            click.FloatRange(0, 1, min_open=True, max_open=True),
-            "RANSAC: stop at this probability of having drawn a sample without outliers.",
-        ),
-        _match("max_iterations", "--max-iterations", AT_LEAST_ONE, "RANSAC: most samples drawn."),
-        _match("min_inliers", "--min-inliers", click.IntRange(min=2), "Fewest inliers of a fit."),
-        seed(MatchOptions()),
-    )
+    return stacked(_pairing, ratio, _fitting)
