@@ -13,7 +13,7 @@ from slamcli.core.camera.calibration import Rocking
 from slamcli.core.errors import MapError
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, LinkKind, PoseEstimate, Status
-from slamcli.io.map_file.header import MAX_METRES
+from slamcli.io.calibration_codec import MAX_METRES
 
 DRIVE_KINDS = {
     "frames": "<i8",

@@ -214,7 +214,7 @@ def test_render_paints_the_same_map_and_others_without_locating(
 def test_render_says_what_is_missing(written: Path, tmp_path: Path, drive: Path) -> None:
     result = run("render", tmp_path, "-o", tmp_path / "out")
     assert result.exit_code == 1
-    assert "run.toml" in result.output
+    assert "map.slam" in result.output
     fewer = tmp_path / "fewer"
     fewer.mkdir()
     shutil.copy(drive / "0003.jpg", fewer)
