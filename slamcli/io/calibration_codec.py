@@ -13,7 +13,7 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration, DistortionModel, Intrinsics, Unit
 from slamcli.core.camera.mounting import compose_robot_from_image
 from slamcli.core.geometry import apply_homography
-from slamcli.io.fields import (
+from slamcli.io.checks import (
     FieldError,
     check_array,
     check_matrix,

@@ -14,7 +14,7 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration, Intrinsics
 from slamcli.core.errors import CalibrationError, InputError
 from slamcli.io import calibration_codec
-from slamcli.io.fields import FieldError, check_array, required
+from slamcli.io.checks import FieldError, check_array, required
 from slamcli.io.files import read_text, write_text
 
 FORMAT_VERSION = 1

@@ -18,7 +18,7 @@ CALIBRATION_NAME = "calibration.yaml"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inputs:
-    """Frames and their camera.
+    """The frames of a command and their camera.
 
     Attributes
     ----------

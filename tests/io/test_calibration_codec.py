@@ -15,7 +15,7 @@ from floor_pictures import forward_camera, top_down
 
 from slamcli.core.camera.calibration import Calibration
 from slamcli.io.calibration_codec import from_dict, intrinsics_from_dict, to_dict
-from slamcli.io.fields import FieldError
+from slamcli.io.checks import FieldError
 from slamcli.io.runs import camera_section
 from slamcli.io.toml import write_toml
 

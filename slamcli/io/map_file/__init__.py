@@ -25,7 +25,7 @@ from slamcli.core.errors import InputError, MapError
 from slamcli.core.records import DescriptorNorm, FloorMap
 from slamcli.io import calibration_codec
 from slamcli.io.calibration_codec import MAX_METRES
-from slamcli.io.fields import FieldError, check_number, check_word
+from slamcli.io.checks import FieldError, check_number, check_word
 from slamcli.io.files import write_bytes
 from slamcli.io.map_file.header import (
     features_header,

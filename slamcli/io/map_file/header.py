@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 from slamcli.core.config import FeatureMethod, FeatureOptions
 from slamcli.core.errors import MapError
-from slamcli.io.fields import check_number, check_word
+from slamcli.io.checks import check_number, check_word
 
 MAX_POINTS = 100_000
 _FEATURE_RANGES: dict[str, tuple[float, float]] = {

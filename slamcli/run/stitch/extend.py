@@ -1,4 +1,4 @@
-"""`slam stitch --extend`: a finished map and a later drive as one sequence of frames."""
+"""`slam stitch --extend`: a finished map and the frames of a later drive as one sequence."""
 
 from __future__ import annotations
 
