@@ -272,7 +272,10 @@ def _number(section: dict[str, Any], key: str, default: float | None = None) -> 
     value = required(section, key) if default is None else section.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise FieldError(key, f"is {value!r}, not a number")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise FieldError(key, "is too large") from error
 
 
 def _matrix_data(section: dict[str, Any], key: str) -> Any:

@@ -75,7 +75,7 @@ def map_sources(floor_map: FloorMap, path: Path, remedy: str) -> tuple[Path, ...
     path : Path
         Of the map, for messages.
     remedy : str
-        What to do when they are not known or not there.
+        What to do when they are not there.
 
     Raises
     ------
@@ -83,8 +83,8 @@ def map_sources(floor_map: FloorMap, path: Path, remedy: str) -> tuple[Path, ...
     """
     if not floor_map.sources:
         raise InputError(
-            f"{path} does not record where its frames are, as maps do since format version 3; "
-            f"{remedy}"
+            f"{path} does not record where its frames are, as maps do since format version 3: "
+            "stitch them again or, to render the map, give them with --frames"
         )
     gone = next((source for source in floor_map.sources if not source.exists()), None)
     if gone is not None:

@@ -50,7 +50,7 @@ def render(
     floor_map = load_map(path, for_locating=False)
     remedy = "give their folder with --frames"
     files = list_frames(map_sources(floor_map, path, remedy) if frames is None else [frames])
-    # To the digits of poses.csv, so that a map looks the same as when it was painted from that.
+    # To the digits of poses.csv: the map is painted where that says its frames are.
     estimates = [rounded(e) for e in floor_map.estimates if e.map_from_robot is not None]
     if not estimates:
         raise InputError(f"{path} has no frame with a pose; there is nothing to paint")

@@ -58,10 +58,7 @@ def open_extension(finished: Path, later: Sequence[Path], frame_rate: float | No
     """
     floor_map = load_map(finished)
     path = finished / MAP_NAME if finished.is_dir() else finished
-    remedy = (
-        "the map's frames are painted again with the later ones: put them back, or stitch both "
-        "drives as one"
-    )
+    remedy = "put them back, as they are painted again, or stitch both drives as one"
     known = map_sources(floor_map, path, remedy)
     resolved = {source.resolve() for source in known}
     again = next((source for source in later if source.resolve() in resolved), None)
