@@ -6,14 +6,18 @@ import csv
 import io
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from slamcli.core.geometry import covariance_in_map
+from slamcli.core.camera.calibration import Rocking
+from slamcli.core.geometry import Pose2, covariance_in_map
 from slamcli.core.records import PoseEstimate
 from slamcli.io.files import write_text
 
+# Decimals of metres and of radians: a micrometre, and less than that ten metres away.
+_LENGTH_DIGITS, _ANGLE_DIGITS = 6, 7
 COLUMNS = (
     "index",
     "frame",
@@ -49,13 +53,28 @@ def write_poses(path: Path, estimates: Iterable[PoseEstimate]) -> None:
     write_text(path, stream.getvalue())
 
 
+def rounded(estimate: PoseEstimate) -> PoseEstimate:
+    """Return an estimate with pose and rocking of the digits that poses.csv has."""
+    pose, rocking = estimate.map_from_robot, estimate.rocking
+    if pose is not None:
+        place = round(pose.x, _LENGTH_DIGITS), round(pose.y, _LENGTH_DIGITS)
+        pose = Pose2(*place, round(pose.theta, _ANGLE_DIGITS))
+    if rocking is not None:
+        rocking = Rocking(
+            round(rocking.pitch_radians, _ANGLE_DIGITS),
+            round(rocking.roll_radians, _ANGLE_DIGITS),
+            round(rocking.height_metres, _LENGTH_DIGITS),
+        )
+    return replace(estimate, map_from_robot=pose, rocking=rocking)
+
+
 def _row(estimate: PoseEstimate) -> list[str]:
     stamp = "" if estimate.stamp is None else f"{estimate.stamp:.6f}"
     head = [str(estimate.index), estimate.name, stamp, estimate.status, estimate.reason]
     pose, covariance = estimate.map_from_robot, estimate.covariance
     if pose is None:
         return [*head, *[""] * (len(COLUMNS) - len(head))]
-    place = [str(estimate.fragment), f"{pose.x:.6f}", f"{pose.y:.6f}", f"{pose.theta:.7f}"]
+    place = [str(estimate.fragment), _length(pose.x), _length(pose.y), _angle(pose.theta)]
     if covariance is None:
         sigmas = [""] * 3
     else:
@@ -65,6 +84,14 @@ def _row(estimate: PoseEstimate) -> list[str]:
     tilt = [""] * 3
     if estimate.rocking is not None:
         rocking = estimate.rocking
-        tilt = [f"{rocking.pitch_radians:.7f}", f"{rocking.roll_radians:.7f}"]
-        tilt.append(f"{rocking.height_metres:.6f}")
+        tilt = [_angle(rocking.pitch_radians), _angle(rocking.roll_radians)]
+        tilt.append(_length(rocking.height_metres))
     return [*head, *place, *sigmas, str(estimate.inliers), score, *tilt]
+
+
+def _length(metres: float) -> str:
+    return f"{metres:.{_LENGTH_DIGITS}f}"
+
+
+def _angle(radians: float) -> str:
+    return f"{radians:.{_ANGLE_DIGITS}f}"

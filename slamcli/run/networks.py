@@ -1,4 +1,4 @@
-"""The trained networks that the user names, loaded before the first frame is read."""
+"""The networks of learned features and matching, loaded before the first frame is read."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def with_point_network(
 def with_match_network(
     options: MatchOptions, files: NetworkFiles, method: FeatureMethod | Literal["auto"]
 ) -> MatchOptions:
-    """Return the options with the network that pairs the points, if any; raises InputError."""
+    """Return the options with the network that matches the points, if any; raises InputError."""
     if files.matcher == "nearest":
         if files.matcher_weights is not None:
             raise InputError("--matcher-weights is for --matcher lightglue: add that, too")
@@ -44,7 +44,7 @@ def with_match_network(
         raise InputError("--matcher lightglue needs its network: add --matcher-weights FILE.onnx")
     if method not in LEARNED:
         raise InputError(
-            f"--matcher lightglue pairs the points of --features {' or '.join(LEARNED)}, "
+            f"--matcher lightglue matches the points of --features {' or '.join(LEARNED)}, "
             f"not of {method}"
         )
     return replace(options, network=load_match_network(files.matcher_weights))
