@@ -6,13 +6,11 @@ import csv
 import io
 import math
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from slamcli.core.camera.calibration import Rocking
-from slamcli.core.geometry import Pose2, covariance_in_map
+from slamcli.core.geometry import covariance_in_map
 from slamcli.core.records import PoseEstimate
 from slamcli.io.files import write_text
 
@@ -51,21 +49,6 @@ def write_poses(path: Path, estimates: Iterable[PoseEstimate]) -> None:
     writer.writerow(COLUMNS)
     writer.writerows(_row(estimate) for estimate in estimates)
     write_text(path, stream.getvalue())
-
-
-def rounded(estimate: PoseEstimate) -> PoseEstimate:
-    """Return an estimate with pose and rocking of the digits that poses.csv has."""
-    pose, rocking = estimate.map_from_robot, estimate.rocking
-    if pose is not None:
-        place = round(pose.x, _LENGTH_DIGITS), round(pose.y, _LENGTH_DIGITS)
-        pose = Pose2(*place, round(pose.theta, _ANGLE_DIGITS))
-    if rocking is not None:
-        rocking = Rocking(
-            round(rocking.pitch_radians, _ANGLE_DIGITS),
-            round(rocking.roll_radians, _ANGLE_DIGITS),
-            round(rocking.height_metres, _LENGTH_DIGITS),
-        )
-    return replace(estimate, map_from_robot=pose, rocking=rocking)
 
 
 def _row(estimate: PoseEstimate) -> list[str]:

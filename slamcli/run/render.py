@@ -12,7 +12,6 @@ from slamcli.core.errors import InputError
 from slamcli.io.files import output_folder, remove_folder
 from slamcli.io.frames import list_frames
 from slamcli.io.map_file import MAP_NAME, load_map
-from slamcli.io.poses import rounded
 from slamcli.run.inputs import map_file_of, map_sources
 from slamcli.run.paint import outputs
 from slamcli.run.paint.paint import scenes_of
@@ -50,8 +49,7 @@ def render(
     floor_map = load_map(path, for_locating=False)
     remedy = "give their folder with --frames"
     files = list_frames(map_sources(floor_map, path, remedy) if frames is None else [frames])
-    # To the digits of poses.csv: the map is painted where that says its frames are.
-    estimates = [rounded(e) for e in floor_map.estimates if e.map_from_robot is not None]
+    estimates = [e for e in floor_map.estimates if e.map_from_robot is not None]
     if not estimates:
         raise InputError(f"{path} has no frame with a pose; there is nothing to paint")
     where = partial(map_file_of, files, remedy=remedy)

@@ -35,12 +35,12 @@ def drive(samples_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 
 def test_the_map_alone_is_rendered(drive: Path, tmp_path: Path) -> None:
-    """Nothing but map.slam is read of the earlier run, by whatever path it is named."""
+    """Nothing but map.slam is read of the earlier run, and the same bytes are painted."""
     alone = tmp_path / "alone"
     shutil.copytree(drive / "out", alone)
     for name in ("run.toml", "poses.csv"):
         (alone / name).unlink()
-    mosaics = []
+    mosaics = [(drive / "out" / "mosaic.png").read_bytes()]
     for number, named in enumerate((drive / "out", alone, alone / "map.slam", alone / "x.png")):
         result = run("render", named, "-o", tmp_path / str(number), *COARSE)
         assert result.exit_code == 0, result.output
