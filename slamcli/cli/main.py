@@ -103,8 +103,7 @@ def stitch(
 
     FRAMES is a folder or image files. Each one gets a pose, or the reason why it has none.
     """
-    from slamcli.cli.progress import ProgressBar
-    from slamcli.run.session.executor import default_workers
+    from slamcli.cli.progress import open_session
     from slamcli.run.stitch import stitch as run_stitch
     from slamcli.run.stitch.options import StitchOptions
     from slamcli.run.telemetry import TelemetryFiles
@@ -121,20 +120,18 @@ def stitch(
         export=told["export"],
         extend=told["extend"],
         resume=told["resume"],
-        workers=workers or default_workers(),
-        scheduler=told["scheduler"],
     )
     if told["dry_run"] and told["extend"]:
         raise click.UsageError("--dry-run does not take --extend")
     if told["dry_run"]:
         from slamcli.run.stitch.dry_run import forecast
 
-        with ProgressBar() as progress:
-            lines = forecast(frames, calibration, resolved, progress)
+        with open_session(workers) as session:
+            lines = forecast(frames, calibration, resolved, session=session)
         click.echo("\n".join(lines))
         return
     folder = output or default_output(frames[0], "mosaic")
-    with ProgressBar() as progress:
+    with open_session(workers, told["scheduler"]) as session:
         report = run_stitch(
             frames,
             calibration,
@@ -144,8 +141,7 @@ def stitch(
                 told["odometry"], told["compass"], told["gps"], told["time_offset"] is None
             ),
             overwrite=overwrite,
-            progress=progress,
-            tell=progress.tell,
+            session=session,
         )
     click.echo("\n".join(report.lines))
     sys.exit(report.exit_code)
@@ -171,18 +167,16 @@ def locate(
     MAP is a folder that `slam stitch` wrote, or the map.slam in it. Each frame is looked up by
     itself; exit 1 when none of them is there.
     """
-    from slamcli.cli.progress import ProgressBar
+    from slamcli.cli.progress import open_session
     from slamcli.run.locate import locate as run_locate
-    from slamcli.run.session.executor import default_workers
 
-    with ProgressBar() as progress:
+    with open_session(workers) as session:
         report = run_locate(
             floor_map,
             frames,
             output,
-            workers=workers or default_workers(),
             overwrite=overwrite,
-            progress=progress,
+            session=session,
         )
     click.echo(report.json if as_json else "\n".join(report.lines))
     sys.exit(report.exit_code)
@@ -209,20 +203,17 @@ def render(
 
     RUN is the output of slam stitch; no frame is located anew.
     """
-    from slamcli.cli.progress import ProgressBar
+    from slamcli.cli.progress import open_session
     from slamcli.run.render import render as run_render
-    from slamcli.run.session.executor import default_workers
 
-    with ProgressBar() as progress:
+    with open_session(workers) as session:
         lines = run_render(
             run,
             frames,
             output or default_output(run, "render"),
             options.products_of(told),
-            workers=workers or default_workers(),
             overwrite=overwrite,
-            progress=progress,
-            tell=progress.tell,
+            session=session,
         )
     click.echo("\n".join(lines))
 
@@ -248,20 +239,18 @@ def warp(
 
     Each is a PNG, transparent where no floor was seen, with a world file.
     """
-    from slamcli.cli.progress import ProgressBar
-    from slamcli.run.session.executor import default_workers
+    from slamcli.cli.progress import open_session
     from slamcli.run.warp import warp as run_warp
 
-    with ProgressBar() as progress:
+    with open_session(workers) as session:
         lines = run_warp(
             frames,
             calibration,
             output or default_output(frames[0], "birdseye"),
             metres_per_pixel=metres_per_pixel,
             max_range_metres=max_range,
-            workers=workers or default_workers(),
             overwrite=overwrite,
-            progress=progress,
+            session=session,
         )
     click.echo("\n".join(lines))
 
@@ -288,21 +277,19 @@ def detect(
 
     Also what cleaning and the region of interest removed, and a table of the points.
     """
-    from slamcli.cli.progress import ProgressBar
+    from slamcli.cli.progress import open_session
     from slamcli.core.config import FeatureOptions
     from slamcli.run.detect import detect as run_detect
-    from slamcli.run.session.executor import default_workers
 
-    with ProgressBar() as progress:
+    with open_session(workers) as session:
         lines = run_detect(
             frames,
             calibration,
             output or default_output(frames[0], "features"),
             options.picked(FeatureOptions, {**told, "method": features}),
             options.networks_of(told),
-            workers=workers or default_workers(),
             overwrite=overwrite,
-            progress=progress,
+            session=session,
         )
     click.echo("\n".join(lines))
 
@@ -455,19 +442,17 @@ def calibrate(
     if calibration is not None and not refine:
         raise click.UsageError("-c is for --refine, which refines a calibration by frames")
     if refine and (calibration is not None or any(photo.is_dir() for photo in photos)):
-        from slamcli.cli.progress import ProgressBar
+        from slamcli.cli.progress import open_session
         from slamcli.run.calibrate.self_calibration import calibrate_by_frames
-        from slamcli.run.session.executor import default_workers
 
-        with ProgressBar() as progress:
+        with open_session(workers) as session:
             lines = calibrate_by_frames(
                 photos,
                 calibration,
                 output,
                 max_range,
-                workers=workers or default_workers(),
                 overwrite=overwrite,
-                progress=progress,
+                session=session,
             )
         click.echo("\n".join(lines))
         return
@@ -506,17 +491,15 @@ def simulate(output: Path, workers: int | None, overwrite: bool, **told: Any) ->
 
     Frames, a calibration photo, exact truth, odometry, compass and GPS.
     """
-    from slamcli.cli.progress import ProgressBar
-    from slamcli.run.session.executor import default_workers
+    from slamcli.cli.progress import open_session
     from slamcli.run.simulate import simulate as run_simulate
 
-    with ProgressBar() as progress:
+    with open_session(workers) as session:
         lines = run_simulate(
             output,
             simulation_of(told),
-            workers=workers or default_workers(),
             overwrite=overwrite,
-            progress=progress,
+            session=session,
         )
     click.echo("\n".join(lines))
 

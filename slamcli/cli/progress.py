@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
 
 import click
 from tqdm import tqdm
+
+from slamcli.run.session.executor import default_workers
+from slamcli.run.session.session import Session
 
 _LINES_A_STAGE = 5
 
@@ -31,8 +36,8 @@ class ProgressBar:
             self._stage, self._bar = stage, tqdm(total=total, desc=stage, unit="frame")
         self._bar.update(done - self._bar.n)
 
-    def tell(self, line: str) -> None:
-        """Say something that is not a result."""
+    def notify(self, line: str) -> None:
+        """Print one line that is no result."""
         self._close()
         click.echo(line, err=True)
 
@@ -51,3 +56,10 @@ class ProgressBar:
         if self._bar is not None:
             self._bar.close()
             self._bar = None
+
+
+@contextmanager
+def open_session(workers: int | None, scheduler: str = "") -> Iterator[Session]:
+    """Yield the session of a command, with a progress bar; by default on all processors."""
+    with ProgressBar() as bar:
+        yield Session(workers or default_workers(), scheduler, bar, bar.notify)

@@ -19,7 +19,7 @@ from slamcli.io.keypoints import write_keypoints
 from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.match.fitting import plain_picture
 from slamcli.run.networks import NetworkFiles, with_point_network
-from slamcli.run.session.executor import Progress, ordered
+from slamcli.run.session.session import Session
 from slamcli.stages import features, view
 from slamcli.stages.view import Resampler
 
@@ -34,9 +34,8 @@ def detect(
     options: FeatureOptions,
     networks: NetworkFiles,
     *,
-    workers: int,
     overwrite: bool,
-    progress: Progress,
+    session: Session,
 ) -> list[str]:
     """Write one drawing a frame and `features.csv` into `output`; return what to tell the user.
 
@@ -56,13 +55,12 @@ def detect(
     products = (TABLE, *(f"{escape(stem)}{SUFFIX}" for stem in stems))
     with output_folder(output, products, overwrite=overwrite) as staging:
         work = partial(_search, inputs.calibration, resampler, options, staging)
-        for done, result in enumerate(ordered(work, inputs.files, workers), start=1):
+        for result in session.stage("detecting", work, inputs.files):
             if isinstance(result, str):
                 lines.append(f"skipped {result}")
             else:
                 found.append(result)
                 lines.append(f"{result[0]}: {len(result[1])} {options.method.upper()} points")
-            progress("detecting", done, len(inputs.files))
         if not found:
             raise InputError(f"no frame could be searched; {lines[-1]}")
         write_keypoints(staging / TABLE, found, inputs.calibration.unit)

@@ -20,7 +20,7 @@ from slamcli.io.map_file import load_map
 from slamcli.io.poses import write_poses
 from slamcli.mapping.localizer import Locator
 from slamcli.run.frame_loop import read_and_prepare
-from slamcli.run.session.executor import Progress, ordered
+from slamcli.run.session.session import Session
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +37,8 @@ def locate(
     sources: Sequence[Path],
     output: Path | None,
     *,
-    workers: int,
     overwrite: bool,
-    progress: Progress,
+    session: Session,
 ) -> LocateReport:
     """Find the frames of folders or files in a map; exit 1 when none is there.
 
@@ -56,11 +55,8 @@ def locate(
         refuse_existing(output, overwrite=overwrite)
     locator = Locator(load_map(floor_map))
     files = list_frames(sources, None)
-    found: list[PoseEstimate] = []
     work = partial(read_and_prepare, locator.prepare)
-    for done, prepared in enumerate(ordered(work, files, workers), start=1):
-        found.append(locator.place(prepared))
-        progress("locating", done, len(files))
+    found = [locator.place(prepared) for prepared in session.stage("locating", work, files)]
     if output is not None:
         write_poses(output, found)
     unit = locator.calibration.unit

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -15,8 +15,7 @@ from slamcli.io.frames import FrameFile, list_frames
 from slamcli.io.runs import read_run
 from slamcli.run.paint import outputs
 from slamcli.run.paint.paint import scenes_of
-from slamcli.run.session.executor import Progress
-from slamcli.run.session.interruption import interruptible
+from slamcli.run.session.session import Session
 
 
 def render(
@@ -25,10 +24,8 @@ def render(
     output: Path,
     options: ProductOptions,
     *,
-    workers: int,
     overwrite: bool,
-    progress: Progress,
-    tell: Callable[[str], None],
+    session: Session,
 ) -> list[str]:
     """Paint the map of an earlier run into `output`; return what to tell the user.
 
@@ -50,12 +47,10 @@ def render(
     where = partial(file_of, files, remedy="give their folder with --frames")
     scenes = scenes_of(run.calibration, run.estimates, where, options.turn_radians)
     with (
-        interruptible() as interruption,
+        session.interruption.on_sigint(),
         output_folder(output, outputs.PRODUCTS, overwrite=overwrite) as staging,
     ):
-        area = outputs.write_maps(
-            scenes, options, {}, staging, staging / "tiles", workers, progress, tell, interruption
-        )
+        area = outputs.write_maps(scenes, options, {}, staging, staging / "tiles", session)
         remove_folder(staging / "tiles")
     unit = run.calibration.unit
     lines = [
@@ -64,7 +59,7 @@ def render(
         f"{'time':<12} {time.monotonic() - started:.1f} s",
         f"{'written to':<12} {output}",
     ]
-    if interruption.happened:
+    if session.interruption.happened:
         lines.insert(0, "interrupted: the map holds what had been painted")
     return lines
 

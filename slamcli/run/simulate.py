@@ -20,7 +20,7 @@ from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import output_folder, write_image
 from slamcli.io.frames import read_image
 from slamcli.io.trajectories import read_path
-from slamcli.run.session.executor import Progress, ordered
+from slamcli.run.session.session import Session
 from slamcli.simulation import drive, floors, photograph
 from slamcli.simulation.config import SimulationOptions
 
@@ -48,9 +48,8 @@ def simulate(
     output: Path,
     options: SimulationOptions,
     *,
-    workers: int,
     overwrite: bool,
-    progress: Progress,
+    session: Session,
 ) -> list[str]:
     """Write frames, calibration photo, truth and sensors into `output`; return what to tell.
 
@@ -88,10 +87,8 @@ def simulate(
         ways = [(start @ poses[i], start @ poses[i + 1]) for i in range(count)]
         jobs = list(zip(range(count), ways, stamps, strict=True))
         work = partial(_take, photographer, options)
-        for index, image in enumerate(ordered(work, jobs, workers)):
-            path = staging / "frames" / names[index]
-            write_image(path, image, jpeg_quality=options.jpeg_quality)
-            progress("taking frames", index + 1, count)
+        for name, image in zip(names, session.stage("taking frames", work, jobs), strict=True):
+            write_image(staging / "frames" / name, image, jpeg_quality=options.jpeg_quality)
         write_image(staging / "square.png", square)
         telemetry.write_truth(staging / "truth.csv", names, stamps, poses[:-1])
         _write_sensors(staging, options, stamps, poses[:-1])

@@ -14,7 +14,7 @@ from slamcli.io.files import output_folder
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.io.raster import world_file
 from slamcli.run.inputs import open_inputs
-from slamcli.run.session.executor import Progress, ordered
+from slamcli.run.session.session import Session
 from slamcli.stages import view
 from slamcli.stages.view import Resampler
 
@@ -26,9 +26,8 @@ def warp(
     *,
     metres_per_pixel: float | None,
     max_range_metres: float | None,
-    workers: int,
     overwrite: bool,
-    progress: Progress,
+    session: Session,
 ) -> list[str]:
     """Write one PNG and one world file a frame into `output`; return what to tell the user.
 
@@ -49,9 +48,8 @@ def warp(
     skipped = []
     with output_folder(output, products, overwrite=overwrite) as staging:
         work = partial(_warp_frame, inputs.calibration, resampler, staging)
-        for done, reason in enumerate(ordered(work, inputs.files, workers), start=1):
+        for reason in session.stage("warping", work, inputs.files):
             skipped += [f"skipped {reason}"] if reason else []
-            progress("warping", done, len(inputs.files))
         if len(skipped) == len(inputs.files):
             raise InputError(f"no frame could be warped; {skipped[0]}")
     unit = inputs.calibration.unit

@@ -21,8 +21,7 @@ from slamcli.io.files import write_image
 from slamcli.io.raster import deepzoom, geotiff, png, world_file
 from slamcli.io.raster.tile_store import StoredTile, TileStore, put_part
 from slamcli.run.paint.paint import Scene, check_png, check_scene, cropped, paint_scene
-from slamcli.run.session.executor import Progress, ordered
-from slamcli.run.session.interruption import Interruption
+from slamcli.run.session.session import Session
 from slamcli.stages.mosaic import obstacles, tiles
 
 PRODUCTS = (
@@ -54,11 +53,7 @@ def write_maps(
     datums: Mapping[int, Datum],
     staging: Path,
     tiles_folder: Path,
-    workers: int,
-    progress: Progress,
-    tell: Callable[[str], None],
-    interruption: Interruption,
-    scheduler: str = "",
+    session: Session,
 ) -> float:
     """Paint every connected map and write it as asked; return the floor seen in all, m^2.
 
@@ -76,13 +71,11 @@ def write_maps(
     for number, (scene, estimates) in enumerate(scenes):
         suffix = f"_{number}" if number else ""
         folder = tiles_folder / str(number)
-        store, scale = paint_scene(
-            scene, options, folder, workers, progress, tell, interruption, scheduler
-        )
+        store, scale = paint_scene(scene, options, folder, session)
         unit = scene.calibration.unit
         turned = scene.map_from_painted
         told = replace(options, datum=options.datum or datums.get(estimates[0].fragment))
-        grid = write_products(staging, suffix, store, scale, unit, turned, told, workers)
+        grid = write_products(staging, suffix, store, scale, unit, turned, told, session)
         if grid is not None:
             area += store.seen_pixels() * scale**2
             image, mask, small = overview(store, grid)
@@ -105,7 +98,7 @@ def write_products(
     unit: Unit,
     map_from_painted: Pose2,
     options: ProductOptions,
-    workers: int,
+    session: Session,
 ) -> Grid | None:
     """Write a painted map in every format asked for; return its grid, None when it is empty."""
     grid = _extent(store, metres_per_pixel, options)
@@ -114,7 +107,7 @@ def write_products(
     check_png(grid, options)
     for name in options.formats:
         FORMATS[name](
-            MapToWrite(folder, suffix, store, grid, unit, map_from_painted, options, workers)
+            MapToWrite(folder, suffix, store, grid, unit, map_from_painted, options, session)
         )
     return grid
 
@@ -145,11 +138,11 @@ class MapToWrite:
         unit: Unit,
         map_from_painted: Pose2,
         options: ProductOptions,
-        workers: int,
+        session: Session,
     ) -> None:
         self.folder, self.suffix, self.store, self.grid = folder, suffix, store, grid
         self.unit, self.map_from_painted, self.options = unit, map_from_painted, options
-        self.workers = workers
+        self.session = session.on_this_machine()
 
     def path(self, stem: str, ending: str) -> Path:
         """Return where one output of this map is written."""
@@ -185,7 +178,7 @@ def _write_strips(
         for start, end in zip(starts, ends, strict=True)
     ]
     work = partial(strip, what.store)
-    png.write_png(path, grid.width, grid.height, ordered(work, parts, what.workers))
+    png.write_png(path, grid.width, grid.height, what.session.ordered(work, parts))
     world_file.write_world_file(path.with_suffix(".pgw"), grid, what.map_from_painted)
 
 

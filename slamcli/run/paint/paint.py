@@ -23,8 +23,7 @@ from slamcli.io.raster.tile_store import TileStore
 from slamcli.mapping.backend.pose_graph import placed_fragments
 from slamcli.run.paint.frame_cache import FrameCache, max_at_once, max_pictures, size_text
 from slamcli.run.paint.thumbnails import Thumbnails, read_glimpse
-from slamcli.run.session.executor import Progress, ordered
-from slamcli.run.session.interruption import Interruption
+from slamcli.run.session.session import Session
 from slamcli.stages.mosaic import exposure, tiles
 from slamcli.stages.mosaic.exposure import Exposure, Shared
 from slamcli.stages.mosaic.painter import Painter
@@ -107,11 +106,7 @@ def paint_scene(
     scene: Scene,
     options: ProductOptions,
     folder: Path,
-    workers: int,
-    progress: Progress,
-    tell: Callable[[str], None],
-    interruption: Interruption,
-    scheduler: str = "",
+    session: Session,
 ) -> tuple[TileStore, float]:
     """Paint a scene's tiles into a folder; those that it already holds are not painted again.
 
@@ -128,12 +123,13 @@ def paint_scene(
     """
     scale = options.paint.metres_per_pixel or projection.default_metres_per_pixel(scene.calibration)
     store = TileStore(folder, tiles.TILE_PIXELS, options.layers)
-    light = _light(scene, workers, progress, scheduler) if options.paint.gain else None
+    light = _light(scene, session) if options.paint.gain else None
     paint = replace(options.paint, metres_per_pixel=scale)
     painter = Painter(scene.calibration, scale, paint, light)
     plan = [item for item in painter.plan(scene.shots) if _wanted(item[0], scale, options)]
     if not plan:
         raise InputError("no frame sees anything of that crop; poses.csv tells where they are")
+    workers = session.workers
     canvas = workers * _tile_bytes(plan)
     most = max_pictures(painter.picture_bytes, options.memory_bytes, canvas, workers)
     left = [(key, numbers) for key, numbers in plan if (key.row, key.column) not in store]
@@ -145,15 +141,15 @@ def paint_scene(
     left = left[middle : middle + workers] + left[:middle] + left[middle + workers :]
     started, done = time.perf_counter(), len(plan) - len(left)
     for number, ((key, _), tile) in enumerate(
-        zip(left, ordered(work, left, workers, scheduler), strict=False), start=1
+        zip(left, session.ordered(work, left), strict=False), start=1
     ):
         store.put(key.row, key.column, tile)
         if number == min(workers, len(left)):
             seconds = (time.perf_counter() - started) * (len(left) - number) / number
             held = min(most, max_at_once([numbers for _, numbers in plan]))
-            tell(estimate(painter, plan, options, held, seconds, workers))
-        progress("painting", done + number, len(plan))
-        if interruption.heeded():
+            session.notify(estimate(painter, plan, options, held, seconds, workers))
+        session.progress("painting", done + number, len(plan))
+        if session.interruption.stops_here():
             break
     return store, scale
 
@@ -229,7 +225,7 @@ def cropped(grid: Grid, crop: tuple[float, float, float, float]) -> Grid:
     return grid.window(left, top, right - left, bottom - top)
 
 
-def _light(scene: Scene, workers: int, progress: Progress, scheduler: str) -> Exposure:
+def _light(scene: Scene, session: Session) -> Exposure:
     hull = projection.footprint_hull(scene.calibration)
     step = exposure.comparison_step(scene.calibration)
     work = partial(_observe, hull, step)
@@ -238,9 +234,9 @@ def _light(scene: Scene, workers: int, progress: Progress, scheduler: str) -> Ex
         (file, shot, scene.thumbnails.take(file))
         for file, shot in zip(scene.files, scene.shots, strict=True)
     )
-    for done, one in enumerate(ordered(work, jobs, workers, scheduler), start=1):
+    for done, one in enumerate(session.ordered(work, jobs), start=1):
         observations.append(one)
-        progress("comparing light", done, len(scene.files))
+        session.progress("comparing light", done, len(scene.files))
     return exposure.solve(observations)
 
 

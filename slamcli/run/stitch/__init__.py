@@ -18,7 +18,7 @@ from slamcli.io.map_file import MAP_NAME, save_map
 from slamcli.io.poses import write_poses
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.calibrate.self_calibration import self_calibrate
-from slamcli.run.frame_loop import finish, registration_of, walk
+from slamcli.run.frame_loop import finish, registration_of, run_mapper
 from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.networks import (
     LEARNED,
@@ -28,8 +28,7 @@ from slamcli.run.networks import (
 from slamcli.run.paint import outputs
 from slamcli.run.paint.paint import scenes_of
 from slamcli.run.paint.thumbnails import Thumbnails
-from slamcli.run.session.executor import Progress
-from slamcli.run.session.interruption import Interruption, interruptible
+from slamcli.run.session.session import Session
 from slamcli.run.stitch import exports, report
 from slamcli.run.stitch.debug_drawings import draw_trials
 from slamcli.run.stitch.extend import open_extension
@@ -58,8 +57,7 @@ def stitch(
     *,
     telemetry: TelemetryFiles | None = None,
     overwrite: bool,
-    progress: Progress,
-    tell: Callable[[str], None],
+    session: Session,
 ) -> StitchReport:
     """Map the frames of folders or files into `output`.
 
@@ -79,7 +77,7 @@ def stitch(
         inputs = open_inputs(
             sources, calibration_path, options.frame_rate, options.max_range_metres
         )
-    if options.scheduler:
+    if session.scheduler:
         # Workers stand in folders of their own.
         found_at = [replace(file, path=file.path.resolve()) for file in inputs.files]
         inputs = replace(inputs, files=found_at)
@@ -98,19 +96,18 @@ def stitch(
         feed(new, readings)
     patterns = (*PRODUCTS, DEBUG_PRODUCTS)
     with (
-        interruptible() as interruption,
+        session.interruption.on_sigint(),
         Checkpoint(output) as checkpoint,
         output_folder(output, patterns, overwrite=overwrite, resume=options.resume) as staging,
     ):
-        mapper = _begin(new, inputs, options, files, checkpoint, tell)
+        mapper = _begin(new, inputs, options, files, checkpoint, session)
         thumbnails = Thumbnails()
-        note = _locate(
-            mapper, inputs, options, readings, checkpoint, progress, interruption, thumbnails
-        )
+        note = _locate(mapper, inputs, options, readings, checkpoint, session, thumbnails)
+        interruption = session.interruption
         found, refined = registration_of(mapper), None
         if options.self_calibrate and not interruption.happened:
             resolved = mapper.options
-            refined = self_calibrate(inputs, found, resolved, options.workers, progress)
+            refined = self_calibrate(inputs, found, resolved, session)
             found = refined.registration
             inputs = replace(inputs, calibration=found.calibration)
             save_calibration(staging / "calibration.yaml", found.calibration)
@@ -130,11 +127,7 @@ def stitch(
             exports.datums(mapper),
             staging,
             unfinished if interruption.happened else checkpoint.tiles,
-            options.workers,
-            progress,
-            tell,
-            interruption,
-            options.scheduler,
+            session,
         )
         remove_folder(unfinished)
         write_poses(staging / "poses.csv", estimates)
@@ -143,7 +136,15 @@ def stitch(
         seconds = time.monotonic() - started
         exports.write_exports(staging, options.export, found, mapper)
         report.write_run(
-            staging / "run.toml", sources, inputs, options, files, estimates, mapper, refined
+            staging / "run.toml",
+            sources,
+            inputs,
+            options,
+            files,
+            estimates,
+            mapper,
+            refined,
+            session,
         )
         move_folder(checkpoint.drawings, staging / DEBUG_PRODUCTS)
         if interruption.happened:
@@ -180,21 +181,23 @@ def _begin(
     options: StitchOptions,
     files: TelemetryFiles,
     checkpoint: Checkpoint,
-    tell: Callable[[str], None],
+    session: Session,
 ) -> Mapper:
     """Return the new mapper, or that of a run that was cut off."""
     total = len(inputs.files)
     paths = [file.path for file in inputs.files]
     others = (inputs.calibration_path, files.odometry, files.compass, files.gps)
     paths += [path for path in others if path is not None]
-    plain = replace(options, resume=False, workers=1, scheduler="")
+    plain = replace(options, resume=False)
     if checkpoint.open(run_key(f"{__version__} {plain!r}", paths), resume=options.resume):
         mapper = checkpoint.load()
         if isinstance(mapper, Mapper):
-            tell(f"resumed: {len(mapper.estimates)} of {total} frames had been located")
+            session.notify(f"resumed: {len(mapper.estimates)} of {total} frames had been located")
             return mapper
     elif options.resume:
-        tell("nothing to resume: no run of these frames and options was cut off; starting anew")
+        session.notify(
+            "nothing to resume: no run of these frames and options was cut off; starting anew"
+        )
     return new
 
 
@@ -214,8 +217,7 @@ def _locate(
     options: StitchOptions,
     readings: Telemetry,
     checkpoint: Checkpoint,
-    progress: Progress,
-    interruption: Interruption,
+    session: Session,
     thumbnails: Thumbnails,
 ) -> str:
     """First walk: every frame to its pose or its reason; those that a mapper has seen are done.
@@ -223,17 +225,16 @@ def _locate(
     Returns the clocks' offset, in words, if it was to be found.
     """
     pace, total = _SaveSchedule(), len(inputs.files)
-    workers, scheduler = options.workers, options.scheduler
-    for done in walk(mapper, inputs.files, workers, progress, scheduler, thumbnails):
+    for done in run_mapper(mapper, inputs.files, session, thumbnails):
         if options.debug:
             draw_trials(mapper.trials, checkpoint.drawings)
-        stop = interruption.heeded()
+        stop = session.interruption.stops_here()
         if stop or pace.due() or done == total:
             pace.saving(lambda: checkpoint.save(mapper))
         if stop:
             break
     note = feed_shifted(mapper, readings) if readings.find_time_offset else ""
-    finish(mapper, options.workers)
+    finish(mapper, session)
     return note
 
 

@@ -18,7 +18,7 @@ from slamcli.io.frames import FrameFile, read_frame, read_reduced_gray
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.paint.frame_cache import size_text
-from slamcli.run.session.executor import Progress, ordered
+from slamcli.run.session.session import Session
 from slamcli.run.stitch.options import StitchOptions
 from slamcli.stages.mosaic.painter import Painter
 
@@ -57,7 +57,8 @@ def forecast(
     sources: Sequence[Path],
     calibration_path: Path | None,
     options: StitchOptions,
-    progress: Progress,
+    *,
+    session: Session,
 ) -> list[str]:
     """Look at every frame and register a few; return what to tell the user. Nothing is written.
 
@@ -66,17 +67,14 @@ def forecast(
     InputError, CalibrationError
     """
     inputs = open_inputs(sources, calibration_path, options.frame_rate, options.max_range_metres)
-    looks = []
-    for done, look in enumerate(ordered(_look, inputs.files, options.workers), start=1):
-        looks.append(look)
-        progress("looking", done, len(inputs.files))
+    looks = list(session.on_this_machine().stage("looking", _look, inputs.files))
     lines = [inputs.note] if inputs.note else []
     lines.append(f"{'frames':<12} {len(inputs.files)}")
     problems = _problems(inputs.files, looks)
     lines += [f"{'problem':<12} {problem}" for problem in problems]
     if not problems:
         lines.append(f"{'problem':<12} none found")
-    return lines + _costs(inputs, options)
+    return lines + _costs(inputs, options, session.workers)
 
 
 def _look(file: FrameFile) -> _Look:
@@ -133,7 +131,7 @@ def _blurred(details: Sequence[float], numbers: Sequence[int]) -> list[int]:
     return found
 
 
-def _costs(inputs: Inputs, options: StitchOptions) -> list[str]:
+def _costs(inputs: Inputs, options: StitchOptions, workers: int) -> list[str]:
     """Register a few runs of frames; return what all of it will come to."""
     files, calibration = inputs.files, inputs.calibration
     scale = options.products.paint.metres_per_pixel or projection.default_metres_per_pixel(
@@ -165,5 +163,5 @@ def _costs(inputs: Inputs, options: StitchOptions) -> list[str]:
         f"{'map':<12} about {seen:.3g} {calibration.unit}², {pixels / 1e6:.3g} Mpx of {scale:g} "
         f"{calibration.unit}, if nothing is seen twice",
         f"{'takes':<12} about {size_text(3 * pixels)} of disk while painting, "
-        f"{size_text(memory)} of memory for pictures, {seconds / options.workers:.0f} s to locate",
+        f"{size_text(memory)} of memory for pictures, {seconds / workers:.0f} s to locate",
     ]

@@ -35,11 +35,6 @@ class StitchOptions:
         A finished map that is gone on with.
     resume : bool
         Go on with what an earlier run of the same kind, cut off, has left.
-    workers : int
-        Threads.
-    scheduler : str
-        Address of a Dask scheduler whose workers prepare frames and paint tiles instead; empty for
-        none.
     """
 
     mapper: MapperOptions
@@ -53,5 +48,3 @@ class StitchOptions:
     export: tuple[str, ...] = ()
     extend: Path | None = None
     resume: bool = False
-    workers: int = 1
-    scheduler: str = ""

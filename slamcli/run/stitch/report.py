@@ -15,6 +15,7 @@ from slamcli.mapping.mapper import Mapper
 from slamcli.run.calibrate.self_calibration import describe, run_section
 from slamcli.run.inputs import Inputs
 from slamcli.run.networks import LEARNED
+from slamcli.run.session.session import Session
 from slamcli.run.stitch import exports
 from slamcli.run.stitch.options import StitchOptions
 from slamcli.run.telemetry import TelemetryFiles
@@ -41,6 +42,7 @@ def write_run(
     estimates: Sequence[PoseEstimate],
     mapper: Mapper,
     refined: SelfCalibration | None,
+    session: Session,
 ) -> None:
     """Write run.toml: what was told, and what came of it."""
     sections: dict[str, dict[str, toml.Scalar]] = {
@@ -59,6 +61,7 @@ def write_run(
     sections["camera"] = runs.camera_section(inputs.calibration)
     for section, key, value in toml.flatten(replace(options, resume=False)):
         sections.setdefault(f"options.{section}".rstrip("."), {})[key] = value
+    sections["options"] |= {"workers": session.workers, "scheduler": session.scheduler}
     sections["counts"] = {
         "frames": len(estimates),
         "placed": sum(e.map_from_robot is not None for e in estimates),
