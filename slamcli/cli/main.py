@@ -12,6 +12,7 @@ import click
 from slamcli import __version__
 from slamcli.cli import options
 from slamcli.core.errors import SlamcliError
+from slamcli.core.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from slamcli.simulation.config import SimulationOptions
@@ -21,12 +22,15 @@ class SlamGroup(click.Group):
     """The one boundary that turns an error into a line and an exit code."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; exit 1 with one line for an error that the user can mend."""
+        """Run the command; turn an error of the user's into one line and an exit code."""
         try:
             return super().invoke(ctx)
         except SlamcliError as error:
             click.echo(f"Error: {error}", err=True)
-            sys.exit(1)
+            sys.exit(ExitCode.ERROR)
+        except KeyboardInterrupt:
+            click.echo("interrupted", err=True)
+            sys.exit(ExitCode.INTERRUPTED)
 
 
 class Numbers(click.ParamType[tuple[tuple[float, float], ...]]):
@@ -84,6 +88,7 @@ def main() -> None:
 @click.option(
     "--resume", is_flag=True, help="Go on with a run of the same frames and options, cut off."
 )
+@options.strict
 @options.self_calibrate
 @options.mapper_options
 @options.feature_details
@@ -120,6 +125,7 @@ def stitch(
         export=told["export"],
         extend=told["extend"],
         resume=told["resume"],
+        strict=told["strict"],
     )
     if told["dry_run"] and told["extend"]:
         raise click.UsageError("--dry-run does not take --extend")
@@ -152,6 +158,7 @@ def stitch(
 @options.frames
 @options.output("the poses, as CSV")
 @click.option("--json", "as_json", is_flag=True, help="Print everything measured, as JSON.")
+@options.strict
 @options.workers
 @options.overwrite
 def locate(
@@ -159,13 +166,14 @@ def locate(
     frames: tuple[Path, ...],
     output: Path | None,
     as_json: bool,
+    strict: bool,
     workers: int | None,
     overwrite: bool,
 ) -> None:
     """Find FRAMES in a finished MAP.
 
     MAP is a folder that `slam stitch` wrote, or the map.slam in it. Each frame is looked up by
-    itself; exit 1 when none of them is there.
+    itself; exit 1 when none of them is there, 3 when most are not.
     """
     from slamcli.cli.progress import open_session
     from slamcli.run.locate import locate as run_locate
@@ -176,6 +184,7 @@ def locate(
             frames,
             output,
             overwrite=overwrite,
+            strict=strict,
             session=session,
         )
     click.echo(report.json if as_json else "\n".join(report.lines))

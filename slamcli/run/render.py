@@ -14,7 +14,7 @@ from slamcli.io.files import output_folder, remove_folder
 from slamcli.io.frames import FrameFile, list_frames
 from slamcli.io.runs import read_run
 from slamcli.run.paint import outputs
-from slamcli.run.paint.paint import scenes_of
+from slamcli.run.paint.scene import scenes_of
 from slamcli.run.session.session import Session
 
 
@@ -50,12 +50,12 @@ def render(
         session.interruption.on_sigint(),
         output_folder(output, outputs.PRODUCTS, overwrite=overwrite) as staging,
     ):
-        area = outputs.write_maps(scenes, options, {}, staging, staging / "tiles", session)
+        painted = outputs.write_maps(scenes, options, staging, staging / "tiles", session)
         remove_folder(staging / "tiles")
     unit = run.calibration.unit
     lines = [
         f"{'frames':<12} {len(run.estimates)}",
-        f"{'area':<12} {area:.3f} {unit}²",
+        f"{'area':<12} {painted.area_square_metres:.3f} {unit}²",
         f"{'time':<12} {time.monotonic() - started:.1f} s",
         f"{'written to':<12} {output}",
     ]

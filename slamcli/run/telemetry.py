@@ -1,4 +1,4 @@
-"""What the robot's other senses recorded beside the frames, handed to the mapper."""
+"""Odometry, compass and GPS: read beside the frames and passed to the mapper."""
 
 from __future__ import annotations
 
@@ -17,19 +17,24 @@ from slamcli.stages.telemetry import estimate_time_offset
 
 @dataclass(frozen=True, slots=True)
 class TelemetryFiles:
-    """Where the readings are.
+    """The files of a drive's readings.
 
     Attributes
     ----------
     odometry, compass, gps : Path or None
     find_time_offset : bool
-        Find by how much their clock differs, from odometry and what the frames show.
+        Estimate the offset of their clock, from odometry and the motion between frames.
     """
 
     odometry: Path | None = None
     compass: Path | None = None
     gps: Path | None = None
     find_time_offset: bool = False
+
+    @property
+    def any(self) -> bool:
+        """Whether there is a file at all."""
+        return any(path is not None for path in (self.odometry, self.compass, self.gps))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +78,7 @@ def read_telemetry(files: TelemetryFiles, inputs: Inputs) -> Telemetry:
 
 
 def feed(mapper: Mapper, telemetry: Telemetry) -> None:
-    """Give the mapper all readings. Raises InputError without pyproj for GPS."""
+    """Pass all readings to the mapper. Raises InputError without pyproj for GPS."""
     for odometry in telemetry.odometry:
         mapper.odometry(odometry)
     for compass in telemetry.compass:
@@ -83,12 +88,12 @@ def feed(mapper: Mapper, telemetry: Telemetry) -> None:
 
 
 def feed_shifted(mapper: Mapper, telemetry: Telemetry) -> str:
-    """Find the clocks' offset from the frames placed so far, then feed; return what to tell.
+    """Estimate the clocks' offset from the frames placed so far, then feed; return it as text.
 
     Raises
     ------
     InputError
-        When the motion does not tell the offset.
+        When the motion does not determine the offset.
     """
     members = max(placed_fragments(mapper.estimates).values(), key=len, default=[])
     seen = [e for e in members if e.map_from_robot is not None and e.stamp is not None]

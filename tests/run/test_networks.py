@@ -13,9 +13,8 @@ import floor_pictures
 import numpy as np
 import pytest
 import tiny_networks
-from click.testing import CliRunner
+from command_line import slam
 
-from slamcli.cli.main import main
 from slamcli.core.config import FeatureOptions, MatchOptions
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2
@@ -26,10 +25,6 @@ from slamcli.stages import align, features
 
 SIZE = (tiny_networks.SIDE, tiny_networks.SIDE)
 MOTION = Pose2(30.3, -20.6, math.radians(5.0))
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [*map(str, arguments)], catch_exceptions=False)
 
 
 @pytest.fixture(scope="module")
@@ -117,13 +112,13 @@ def test_the_commands_take_the_files(folder, tmp_path):
     point = ("--features", "aliked", "--weights", folder / "aliked.onnx")
     point += ("--network-size", "256x256")
     glue = ("--matcher", "lightglue", "--matcher-weights", folder / "lightglue.onnx")
-    result = run("match", folder / "a.png", folder / "b.png", *point, *glue, "--json")
+    result = slam("match", folder / "a.png", folder / "b.png", *point, *glue, "--json")
     assert result.exit_code == 0, result.output
     facts = json.loads(result.stdout)
     # Image axes: y down, so a turn to the left of the camera turns the picture by its opposite.
     assert facts["rotation_degrees"] == pytest.approx(5.0, abs=0.2)
     assert facts["features"]["method"] == "ALIKED"
-    detected = run("detect", folder / "a.png", "-o", tmp_path / "found", *point)
+    detected = slam("detect", folder / "a.png", "-o", tmp_path / "found", *point)
     assert "ALIKED points" in detected.stdout
     frames = tmp_path / "frames"
     frames.mkdir()
@@ -132,7 +127,7 @@ def test_the_commands_take_the_files(folder, tmp_path):
     maps = []
     for workers in (1, 2):
         output = tmp_path / f"map{workers}"
-        done = run("stitch", frames, "-o", output, *point, *glue, "--workers", workers)
+        done = slam("stitch", frames, "-o", output, *point, *glue, "--workers", workers)
         assert done.exit_code == 0, done.output
         maps.append((output / "poses.csv").read_bytes())
     assert maps[0] == maps[1]
@@ -173,7 +168,7 @@ def test_the_commands_take_the_files(folder, tmp_path):
 )
 def test_a_file_that_does_not_serve_is_one_line(folder, monkeypatch, arguments, said):
     monkeypatch.chdir(folder)
-    result = run("match", "a.png", "b.png", *arguments)
+    result = slam("match", "a.png", "b.png", *arguments)
     assert result.exit_code == 1
     assert result.stderr.count("\n") == 1
     assert said in result.stderr

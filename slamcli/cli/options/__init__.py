@@ -11,6 +11,7 @@ from slamcli.cli.options.common import (
     scheduler,
     seed,
     self_calibrate,
+    strict,
     workers,
 )
 from slamcli.cli.options.features import FEATURES, feature_details, networks_of
@@ -53,6 +54,7 @@ __all__ = [
     "scheduler",
     "seed",
     "self_calibrate",
+    "strict",
     "telemetry_of",
     "telemetry_options",
     "workers",

@@ -51,6 +51,8 @@ self_calibrate = click.option(
     "tilt and height; or take the calibration as it is [default].",
 )
 
+strict = click.option("--strict", is_flag=True, help="Exit 3 when any frame is lost.")
+
 workers = click.option(
     "--workers",
     type=click.IntRange(min=1),

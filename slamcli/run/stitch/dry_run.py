@@ -12,15 +12,14 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.camera import projection
 from slamcli.core.errors import FrameError
 from slamcli.io.frames import FrameFile, read_frame, read_reduced_gray
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.inputs import Inputs, open_inputs
-from slamcli.run.paint.frame_cache import size_text
+from slamcli.run.paint.budget import size_text
+from slamcli.run.paint.paint import make_painter
 from slamcli.run.session.session import Session
 from slamcli.run.stitch.options import StitchOptions
-from slamcli.stages.mosaic.painter import Painter
 
 _PROBES, _PROBE_FRAMES = 4, 3
 _DARK_GRAY, _WHITE_GRAY, _MAX_WHITE = 25.0, 250, 0.25
@@ -134,10 +133,8 @@ def _blurred(details: Sequence[float], numbers: Sequence[int]) -> list[int]:
 def _costs(inputs: Inputs, options: StitchOptions, workers: int) -> list[str]:
     """Register a few runs of frames; return what all of it will come to."""
     files, calibration = inputs.files, inputs.calibration
-    scale = options.products.paint.metres_per_pixel or projection.default_metres_per_pixel(
-        calibration
-    )
-    painter = Painter(calibration, scale, options.products.paint)
+    painter = make_painter(calibration, options.products)
+    scale = painter.metres_per_pixel
     starts = np.linspace(0, max(0, len(files) - _PROBE_FRAMES), _PROBES).astype(int)
     shares, count, started = [], 0, time.perf_counter()
     for start in sorted(set(starts.tolist())):

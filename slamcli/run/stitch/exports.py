@@ -91,7 +91,7 @@ def georeference_table(found: Georeference) -> dict[str, Scalar]:
     }
 
 
-def tell(found: Georeference) -> str:
+def describe(found: Georeference) -> str:
     """Return how well a map's place on Earth is known, in a line."""
     sigmas = np.sqrt(np.diag(found.covariance))
     return (

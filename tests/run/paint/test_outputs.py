@@ -16,16 +16,15 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner, Result
+from command_line import slam
 
-from slamcli.cli.main import main
 from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.core.records import Tile
 from slamcli.io.checkpoints import Checkpoint, run_key
 from slamcli.io.frames import list_frames, read_frame
 from slamcli.io.raster import deepzoom, geotiff, world_file
 from slamcli.io.raster.tile_store import TileStore
-from slamcli.run.paint import frame_cache, thumbnails
+from slamcli.run.paint import budget, frame_cache, thumbnails
 from slamcli.stages.mosaic.sampling import SourceImage
 
 rasterio = pytest.importorskip("rasterio")
@@ -35,10 +34,6 @@ EVERYTHING = ("--format", "png,geotiff,deepzoom,nav2", "--layers", "resolution,v
 COARSE = ("--metres-per-pixel", "0.004")
 
 
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
 @pytest.fixture(scope="module")
 def drive(samples_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Five frames of the sample, with their calibration."""
@@ -46,7 +41,7 @@ def drive(samples_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
     for index in range(5):
         shutil.copy(samples_folder / "course" / "frames" / f"{index:04d}.jpg", folder)
     square = samples_folder / "course" / "square.png"
-    result = run("calibrate", square, "-o", folder / "calibration.yaml")
+    result = slam("calibrate", square, "-o", folder / "calibration.yaml")
     assert result.exit_code == 0, result.output
     (folder / "calibration.png").unlink()
     return folder
@@ -56,7 +51,7 @@ def drive(samples_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 def written(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     output = tmp_path_factory.mktemp("out") / "map"
     datum = ("--datum", "29.6436,-82.3549,30")
-    result = run("stitch", drive, "-o", output, *EVERYTHING, *COARSE, *datum)
+    result = slam("stitch", drive, "-o", output, *EVERYTHING, *COARSE, *datum)
     assert result.exit_code == 0, result.output
     assert "tiles; about" in result.output
     assert not any(path.name.startswith(".") for path in output.iterdir())
@@ -179,7 +174,7 @@ def test_render_paints_the_same_map_and_others_without_locating(
     moved = tmp_path / "moved"
     shutil.copytree(drive, moved)
     again = tmp_path / "again"
-    result = run("render", written, "--frames", moved, "-o", again, *COARSE)
+    result = slam("render", written, "--frames", moved, "-o", again, *COARSE)
     assert result.exit_code == 0, result.output
     before, after = picture(written).astype(int), picture(again).astype(int)
     assert np.abs(before - after).mean() < 0.05
@@ -193,7 +188,7 @@ def test_render_paints_the_same_map_and_others_without_locating(
         "--format",
         "png,nav2",
     )
-    result = run("render", written / "mosaic.png", "-o", part, *COARSE, *arguments)
+    result = slam("render", written / "mosaic.png", "-o", part, *COARSE, *arguments)
     assert result.exit_code == 0, result.output
     cropped = picture(part)
     assert cropped.shape[:2] == (100, 150)
@@ -212,29 +207,29 @@ def test_render_paints_the_same_map_and_others_without_locating(
 
 
 def test_render_says_what_is_missing(written: Path, tmp_path: Path, drive: Path) -> None:
-    result = run("render", tmp_path, "-o", tmp_path / "out")
+    result = slam("render", tmp_path, "-o", tmp_path / "out")
     assert result.exit_code == 1
     assert "run.toml" in result.output
     fewer = tmp_path / "fewer"
     fewer.mkdir()
     shutil.copy(drive / "0003.jpg", fewer)
-    result = run("render", written, "--frames", fewer, "-o", tmp_path / "out")
+    result = slam("render", written, "--frames", fewer, "-o", tmp_path / "out")
     assert result.exit_code == 1
     assert "--frames" in result.output
-    result = run("render", written, "--crop", "90,90,91,91", "-o", tmp_path / "out")
+    result = slam("render", written, "--crop", "90,90,91,91", "-o", tmp_path / "out")
     assert result.exit_code == 1
     assert "crop" in result.output
 
 
 def test_too_little_memory_and_too_large_a_png_are_refused(written: Path, tmp_path: Path) -> None:
-    result = run("render", written, "-o", tmp_path / "out", "--memory", "20M")
+    result = slam("render", written, "-o", tmp_path / "out", "--memory", "20M")
     assert result.exit_code == 1
     assert "--memory" in result.output.splitlines()[-1]
-    result = run("render", written, "-o", tmp_path / "out", "--metres-per-pixel", "0.00005")
+    result = slam("render", written, "-o", tmp_path / "out", "--metres-per-pixel", "0.00005")
     assert result.exit_code == 1
     assert "--format geotiff" in result.output.splitlines()[-1]
-    assert run("render", written, "--memory", "much").exit_code == 2
-    assert run("stitch", "x", "--datum", "1,x").exit_code == 2
+    assert slam("render", written, "--memory", "much").exit_code == 2
+    assert slam("stitch", "x", "--datum", "1,x").exit_code == 2
 
 
 def test_pictures_get_what_the_process_leaves_of_the_memory(
@@ -244,18 +239,18 @@ def test_pictures_get_what_the_process_leaves_of_the_memory(
     for megabytes in (0, 60, 190):
         pages = tmp_path / f"{megabytes}"
         pages.write_text(f"9 {megabytes * 1_000_000 // os.sysconf('SC_PAGE_SIZE')} 9")
-        monkeypatch.setattr(frame_cache, "_RESIDENT", pages)
-        held[megabytes] = frame_cache.max_pictures(1_000_000, 200_000_000, 20_000_000, 2)
+        monkeypatch.setattr(budget, "_RESIDENT", pages)
+        held[megabytes] = budget.max_pictures(1_000_000, 200_000_000, 20_000_000, 2)
     assert held[0] == 180
     assert held[60] == pytest.approx(120, abs=1)
     assert 0 < held[190] < 10
-    monkeypatch.setattr(frame_cache, "_RESIDENT", tmp_path / "nowhere")
-    assert frame_cache.max_pictures(1_000_000, 200_000_000, 20_000_000, 2) == 180
+    monkeypatch.setattr(budget, "_RESIDENT", tmp_path / "nowhere")
+    assert budget.max_pictures(1_000_000, 200_000_000, 20_000_000, 2) == 180
 
 
 def test_a_picture_leaves_memory_with_the_last_tile_that_needs_it() -> None:
     needed = [[0, 1, 2], [2, 3], [1, 3, 4]]
-    assert frame_cache.max_at_once(needed) == 3
+    assert budget.max_at_once(needed) == 3
     made: list[int] = []
 
     def make(number: int) -> SourceImage:
@@ -273,7 +268,7 @@ def test_a_picture_leaves_memory_with_the_last_tile_that_needs_it() -> None:
     assert made == [0, 1, 2, 3, 4] * 2
 
 
-def test_a_glimpse_that_was_kept_is_what_reading_the_frame_again_gives(
+def test_a_thumbnail_that_was_kept_is_what_reading_the_frame_again_gives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for index in range(3):
@@ -281,13 +276,13 @@ def test_a_glimpse_that_was_kept_is_what_reading_the_frame_again_gives(
         cv2.imwrite(str(tmp_path / f"{index}.jpg"), noise)
     files = list_frames([tmp_path])
     kept = thumbnails.Thumbnails()
-    small = thumbnails.read_glimpse(files[0])
+    small = thumbnails.read_thumbnail(files[0])
     assert small.shape == (13, 18)
     monkeypatch.setattr(thumbnails, "_MAX_BYTES", 2 * small.nbytes)
     for file in files:
         kept.keep(read_frame(file, gray=True))
     for file in files[:2]:
-        np.testing.assert_array_equal(kept.take(file), thumbnails.read_glimpse(file))
+        np.testing.assert_array_equal(kept.take(file), thumbnails.read_thumbnail(file))
         assert kept.take(file) is None
     assert kept.take(files[2]) is None
     kept.keep(read_frame(files[2], gray=True))
@@ -297,7 +292,7 @@ def test_a_glimpse_that_was_kept_is_what_reading_the_frame_again_gives(
 
 def test_a_missing_library_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rasterio", None)
-    result = run("stitch", Path(__file__).parent, "--format", "geotiff")
+    result = slam("stitch", Path(__file__).parent, "--format", "geotiff")
     assert result.exit_code == 1
     with pytest.raises(Exception, match=r"slamcli\[geotiff\]"):
         geotiff.check_geotiff()
@@ -320,7 +315,7 @@ def command(drive: Path, output: Path, *more: str) -> list[str]:
 @pytest.mark.parametrize("stage", ["locating 3/5", "painting 2/"])
 def test_a_killed_run_goes_on_to_the_same_bytes(drive: Path, tmp_path: Path, stage: str) -> None:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
-    assert run("stitch", drive, "-o", whole, *COARSE).exit_code == 0
+    assert slam("stitch", drive, "-o", whole, *COARSE).exit_code == 0
     process = subprocess.Popen(command(drive, cut), stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     for line in process.stderr:
@@ -330,7 +325,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(drive: Path, tmp_path: Path, sta
     process.wait()
     process.stderr.close()
     assert not (cut / "poses.csv").exists()
-    result = run("stitch", drive, "-o", cut, "--resume", *COARSE)
+    result = slam("stitch", drive, "-o", cut, "--resume", *COARSE)
     assert result.exit_code == 0, result.output
     if stage.startswith("painting"):
         assert "5 of 5 frames had been located" in result.output
@@ -362,7 +357,7 @@ def test_ctrl_c_ends_with_what_is_there_and_can_be_gone_on_with(
     assert len(rows) == 6
     assert "not reached: interrupted" in rows[-1]
     assert picture(cut)[..., 3].any()
-    result = run("stitch", drive, "-o", cut, "--resume", *COARSE)
+    result = slam("stitch", drive, "-o", cut, "--resume", *COARSE)
     assert result.exit_code == 0, result.output
     assert "placed       5 (100%)" in result.output
     assert not (cut / ".resume").exists()
@@ -427,7 +422,7 @@ def test_a_dry_run_finds_what_is_wrong_and_writes_nothing(drive: Path, tmp_path:
     (frames / "1446412347.jpg").write_bytes(b"")
     cv2.imwrite(str(frames / "1446412348.png"), np.full_like(good, 255))
     output = tmp_path / "out"
-    result = run("stitch", frames, "-o", output, "--dry-run")
+    result = slam("stitch", frames, "-o", output, "--dry-run")
     assert result.exit_code == 0, result.output
     lines = [line for line in result.output.splitlines() if line.startswith("problem")]
     for kind, name in (
@@ -442,7 +437,7 @@ def test_a_dry_run_finds_what_is_wrong_and_writes_nothing(drive: Path, tmp_path:
     assert "overlap" in result.output
     assert "Mpx" in result.output
     assert not output.exists()
-    backwards = run(
+    backwards = slam(
         "stitch",
         frames / "1446412346.5.jpg",
         drive / "0002.jpg",

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import distributed
 import pytest
-from click.testing import CliRunner
+from command_line import slam
 
-from slamcli.cli.main import main
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import InputError
 from slamcli.run.session.session import Session
@@ -24,7 +23,7 @@ FRAMES = 6
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("drive") / "drive"
     told = ["--frames", str(FRAMES), "--size", "320x240", "--length", "0.5"]
-    done = CliRunner().invoke(main, ["simulate", str(folder), *told])
+    done = slam("simulate", folder, *told)
     assert done.exit_code == 0, done.output
     return folder
 

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_line import slam
 from trajectories import read_poses, read_rows
 
 import slamcli
-from slamcli.cli.main import main
 from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import write_image
@@ -117,20 +116,15 @@ def drives(old: photograph.Photographer, tmp_path_factory: pytest.TempPathFactor
         for number, pose in enumerate(poses):
             write_image(folder / name / f"{number}.png", take(old, pose, seed + number))
     save_calibration(folder / "first" / "calibration.yaml", old.calibration)
-    result = run("stitch", folder / "first", "-o", folder / "out")
-    assert result[0] == 0, result[1]
+    result = slam("stitch", folder / "first", "-o", folder / "out")
+    assert result.exit_code == 0, result.output
     return folder
-
-
-def run(*words: object) -> tuple[int, str]:
-    result = CliRunner().invoke(main, [str(word) for word in words])
-    return result.exit_code, result.output
 
 
 def test_a_later_drive_is_added(drives: Path, tmp_path: Path) -> None:
     output = tmp_path / "both"
-    code, told = run("stitch", drives / "later", "--extend", drives / "out", "-o", output)
-    assert code == 0, told
+    result = slam("stitch", drives / "later", "--extend", drives / "out", "-o", output)
+    assert result.exit_code == 0, result.output
     rows = read_rows(output / "poses.csv")
     assert [row["fragment"] for row in rows] == ["0"] * (len(FIRST) + len(LATER))
     for row, pose in zip(rows, [*FIRST, *LATER], strict=True):
@@ -143,8 +137,8 @@ def test_a_later_drive_is_added(drives: Path, tmp_path: Path) -> None:
     assert world[5] > before[5] + 0.2
     sources = tomllib.loads((output / "run.toml").read_text())["sources"]
     assert [source.rsplit("/", 1)[-1] for source in sources] == ["first", "later"]
-    code, told = run("locate", output, drives / "later" / "6.png", "--json")
-    assert code == 0, told
+    result = slam("locate", output, drives / "later" / "6.png", "--json")
+    assert result.exit_code == 0, result.output
     # And on: what was made so can be painted and gone on with again.
     assert len(load_map(output).estimates) == len(rows)
     assert read_poses(output / "poses.csv")
@@ -163,9 +157,9 @@ def test_what_cannot_be_added_is_refused(
     drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], told: str
 ) -> None:
     monkeypatch.chdir(drives)
-    code, output = run("stitch", *words, "--extend", "out", "-o", tmp_path / "no")
-    assert code in {1, 2}
-    assert told in output
+    result = slam("stitch", *words, "--extend", "out", "-o", tmp_path / "no")
+    assert result.exit_code in {1, 2}
+    assert told in result.output
     assert not (tmp_path / "no").exists()
 
 
@@ -175,11 +169,11 @@ def test_frames_that_are_gone_are_told_of(drives: Path, tmp_path: Path) -> None:
     text = (moved / "out" / "run.toml").read_text()
     (moved / "out" / "run.toml").write_text(text.replace(str(drives), str(moved)))
     (moved / "first" / "3.png").unlink()
-    code, output = run("stitch", moved / "later", "--extend", moved / "out", "-o", tmp_path / "no")
-    assert code == 1
-    assert "frame 3 was 3" in output
+    result = slam("stitch", moved / "later", "--extend", moved / "out", "-o", tmp_path / "no")
+    assert result.exit_code == 1
+    assert "frame 3 was 3" in result.output
     shutil.rmtree(moved / "first")
-    code, output = run("stitch", moved / "later", "--extend", moved / "out", "-o", tmp_path / "no")
-    assert code == 1
-    assert "put them back" in output
-    assert output.count("\n") == 1
+    result = slam("stitch", moved / "later", "--extend", moved / "out", "-o", tmp_path / "no")
+    assert result.exit_code == 1
+    assert "put them back" in result.output
+    assert result.output.count("\n") == 1
