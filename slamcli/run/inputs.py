@@ -1,4 +1,4 @@
-"""What every command that reads frames opens first: the list, and the camera that took them."""
+"""The inputs of a command: the list of its frames, and the calibration of their camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The trained networks that the user names, loaded before the first frame is read."""
+"""The networks of learned features and matching, loaded before the first frame is read."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEARNED = ("aliked", "disk")
 
 @dataclass(frozen=True, slots=True)
 class NetworkFiles:
-    """What the user said of networks.
+    """The network files of a command.
 
     Attributes
     ----------

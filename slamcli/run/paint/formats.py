@@ -179,7 +179,7 @@ def _write_nav2(what: MapToWrite) -> None:
 
 
 def _occupancy(what: MapToWrite, grid: Grid, factor: int) -> UInt8Array:
-    """Return (h, w) gray levels of Nav2, one for so many pixels of a grid of whole tiles."""
+    """Return (h, w) gray levels of Nav2, each for factor x factor pixels of whole tiles."""
     image, mask = what.store.overview(grid, factor)
     gray = np.where(mask > 0, np.uint8(world_file.FREE_GRAY), np.uint8(world_file.UNKNOWN_GRAY))
     if what.options.nav_lines:

@@ -76,5 +76,5 @@ class Session:
         return executor.threads(self.workers)
 
     def on_this_machine(self) -> Self:
-        """Return the session without its cluster, for work on what only this machine holds."""
+        """Return the session without its cluster, for work on what only this machine has."""
         return replace(self, scheduler="")

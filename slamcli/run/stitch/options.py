@@ -12,7 +12,7 @@ from slamcli.run.networks import NO_NETWORKS, NetworkFiles
 
 @dataclass(frozen=True, slots=True)
 class StitchOptions:
-    """What `slam stitch` does beside its defaults.
+    """Options of `slam stitch`; run.toml lists them.
 
     Attributes
     ----------

@@ -5,10 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import shutil
-import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -20,7 +17,6 @@ from command_line import slam
 
 from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.core.records import Tile
-from slamcli.io.checkpoints import Checkpoint, run_key
 from slamcli.io.frames import list_frames, read_frame
 from slamcli.io.raster import deepzoom, geotiff, world_file
 from slamcli.io.raster.tile_store import TileStore
@@ -32,19 +28,6 @@ warp = pytest.importorskip("rasterio.warp")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 EVERYTHING = ("--format", "png,geotiff,deepzoom,nav2", "--layers", "resolution,views,last-frame")
 COARSE = ("--metres-per-pixel", "0.004")
-
-
-@pytest.fixture(scope="module")
-def drive(samples_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Five frames of the sample, with their calibration."""
-    folder = tmp_path_factory.mktemp("drive")
-    for index in range(5):
-        shutil.copy(samples_folder / "course" / "frames" / f"{index:04d}.jpg", folder)
-    square = samples_folder / "course" / "square.png"
-    result = slam("calibrate", square, "-o", folder / "calibration.yaml")
-    assert result.exit_code == 0, result.output
-    (folder / "calibration.png").unlink()
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -298,91 +281,6 @@ def test_a_missing_library_is_named_with_its_extra(monkeypatch: pytest.MonkeyPat
         geotiff.check_geotiff()
 
 
-def command(drive: Path, output: Path, *more: str) -> list[str]:
-    return [
-        sys.executable,
-        "-m",
-        "slamcli",
-        "stitch",
-        str(drive),
-        "-o",
-        str(output),
-        *COARSE,
-        *more,
-    ]
-
-
-@pytest.mark.parametrize("stage", ["locating 3/5", "painting 2/"])
-def test_a_killed_run_goes_on_to_the_same_bytes(drive: Path, tmp_path: Path, stage: str) -> None:
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    assert slam("stitch", drive, "-o", whole, *COARSE).exit_code == 0
-    process = subprocess.Popen(command(drive, cut), stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
-    for line in process.stderr:
-        if line.startswith(stage):
-            break
-    process.kill()
-    process.wait()
-    process.stderr.close()
-    assert not (cut / "poses.csv").exists()
-    result = slam("stitch", drive, "-o", cut, "--resume", *COARSE)
-    assert result.exit_code == 0, result.output
-    if stage.startswith("painting"):
-        assert "5 of 5 frames had been located" in result.output
-        assert "locating" not in result.output
-    names = sorted(path.name for path in whole.iterdir())
-    assert names == sorted(path.name for path in cut.iterdir())
-    for name in names:
-        assert (whole / name).read_bytes() == (cut / name).read_bytes(), name
-
-
-def test_ctrl_c_ends_with_what_is_there_and_can_be_gone_on_with(
-    drive: Path, tmp_path: Path
-) -> None:
-    cut = tmp_path / "cut"
-    with subprocess.Popen(
-        command(drive, cut), stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stderr is not None
-        assert process.stdout is not None
-        for line in process.stderr:
-            if line.startswith("locating 2/5"):
-                os.kill(process.pid, signal.SIGINT)
-                break
-        process.stderr.read()
-        told = process.stdout.read()
-    assert process.returncode == 130
-    assert "interrupted" in told
-    rows = (cut / "poses.csv").read_text().splitlines()
-    assert len(rows) == 6
-    assert "not reached: interrupted" in rows[-1]
-    assert picture(cut)[..., 3].any()
-    result = slam("stitch", drive, "-o", cut, "--resume", *COARSE)
-    assert result.exit_code == 0, result.output
-    assert "placed       5 (100%)" in result.output
-    assert not (cut / ".resume").exists()
-
-
-def test_a_state_of_another_run_is_not_gone_on_with(tmp_path: Path) -> None:
-    first = run_key("a", [tmp_path])
-    checkpoint = Checkpoint(tmp_path)
-    checkpoint.open(first, resume=False)
-    checkpoint.save({"frames": 3})
-    assert Checkpoint(tmp_path).open(first, resume=True)
-    checkpoint = Checkpoint(tmp_path)
-    assert checkpoint.open(first, resume=True)
-    assert checkpoint.load() == {"frames": 3}
-    assert not Checkpoint(tmp_path).open(run_key("b", [tmp_path]), resume=True)
-    assert not checkpoint.folder.exists()
-
-
-def test_a_state_cannot_bring_foreign_code(tmp_path: Path) -> None:
-    checkpoint = Checkpoint(tmp_path)
-    checkpoint.open("key", resume=False)
-    checkpoint.save(time.sleep)
-    assert checkpoint.load() is None
-
-
 def test_a_store_takes_only_what_was_seen_and_finds_it_again(tmp_path: Path) -> None:
     side, scale = 512, 0.01
     image = np.random.default_rng(0).integers(0, 255, (side, side, 3), dtype=np.uint8)
@@ -409,42 +307,3 @@ def test_a_turned_world_file_maps_pixels_into_the_map(tmp_path: Path) -> None:
     world_file.write_world_file(tmp_path / "m.pgw", grid, turn)
     a, d, b, e, c, f = np.loadtxt(tmp_path / "m.pgw")
     np.testing.assert_allclose((a * 2 + b * 1 + c, d * 2 + e * 1 + f), (-1.25, 2.25), atol=1e-9)
-
-
-def test_a_dry_run_finds_what_is_wrong_and_writes_nothing(drive: Path, tmp_path: Path) -> None:
-    frames = tmp_path / "frames"
-    shutil.copytree(drive, frames)
-    good = cv2.imread(str(frames / "0003.jpg"))
-    cv2.imwrite(str(frames / "1446412345.jpg"), cv2.blur(good, (25, 25)))
-    cv2.imwrite(str(frames / "1446412346.jpg"), good // 12)
-    shutil.copy(frames / "0004.jpg", frames / "1446412346.5.jpg")
-    shutil.copy(frames / "0004.jpg", frames / "1446412346.6.jpg")
-    (frames / "1446412347.jpg").write_bytes(b"")
-    cv2.imwrite(str(frames / "1446412348.png"), np.full_like(good, 255))
-    output = tmp_path / "out"
-    result = slam("stitch", frames, "-o", output, "--dry-run")
-    assert result.exit_code == 0, result.output
-    lines = [line for line in result.output.splitlines() if line.startswith("problem")]
-    for kind, name in (
-        ("blurred", "1446412345.jpg"),
-        ("too dark", "1446412346.jpg"),
-        ("same picture", "1446412346.6.jpg"),
-        ("empty", "1446412347.jpg"),
-        ("overexposed", "1446412348.png"),
-    ):
-        assert any(kind in line and name in line for line in lines), (kind, lines)
-    assert not any("0001.jpg" in line for line in lines)
-    assert "overlap" in result.output
-    assert "Mpx" in result.output
-    assert not output.exists()
-    backwards = slam(
-        "stitch",
-        frames / "1446412346.5.jpg",
-        drive / "0002.jpg",
-        "--dry-run",
-        "-c",
-        drive / "calibration.yaml",
-        "--frame-rate",
-        "10",
-    )
-    assert "stamp not after" in backwards.output
