@@ -64,7 +64,7 @@ def detect(
 
 
 def _resampler(inputs: Inputs) -> Resampler | None:
-    """Return what makes bird's-eye views, or None for plain pictures, whose sizes may differ."""
+    """Return the resampler of bird's-eye views; None for plain pictures, whose sizes may differ."""
     if inputs.calibration_path is None:
         return None
     scale = view.registration_metres_per_pixel(inputs.calibration)

@@ -11,27 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import slam
+from worlds import make_photographer, take
 
 import slamcli
 from slamcli.core.exit_codes import ExitCode
 from slamcli.core.geometry import Pose2
 from slamcli.io.files import write_image
 from slamcli.io.map_file import load_map, save_map
-from slamcli.simulation import floors, photograph
-from slamcli.simulation.config import CameraOptions, DisturbanceOptions
-
-CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
+from slamcli.simulation import photograph
 
 
 @pytest.fixture(scope="module")
 def photographer() -> photograph.Photographer:
-    floor = floors.make_floor("asphalt", 0.0, 0.001, seed=3)
-    return photograph.Photographer(photograph.World(floor), photograph.make_camera(CAMERA))
-
-
-def take(photographer: photograph.Photographer, pose: Pose2, seed: int) -> np.ndarray:
-    generator = np.random.default_rng(seed)
-    return photograph.take(photographer, (pose, pose), 0.0, DisturbanceOptions(), generator)
+    return make_photographer()
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""What painting takes: memory for pictures and canvases, disk for tiles, and time."""
+"""The budget of painting: memory for pictures and canvases, and disk for tiles."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LAYER_BYTES = {"resolution": 4, "views": 2, "last-frame": 4}
 def max_pictures(picture_bytes: int, memory_bytes: int, canvas_bytes: int, workers: int) -> int:
     """Return how many frames may be in memory beside all else that the process has allocated.
 
-    A few may in any case: what the poses of a long drive take cannot be given back.
+    A few may in any case: the memory of a long drive's poses cannot be given back.
 
     Raises
     ------
@@ -63,14 +63,14 @@ def max_at_once(needed: Sequence[Sequence[int]]) -> int:
 
 
 def tile_bytes(plan: Plan) -> int:
-    """Return what the tile that most frames see takes while it is painted."""
+    """Return the memory of painting the tile that most frames see."""
     return _TILE_BYTES + _TILE_VIEW_BYTES * max(len(numbers) for _, numbers in plan)
 
 
 def estimate(
     painter: Painter, plan: Plan, options: ProductOptions, pictures: int, workers: int
 ) -> str:
-    """Return a line on how large the map will be, and what disk and memory painting it takes.
+    """Return a line on the map's size, and the disk and memory that painting it takes.
 
     Parameters
     ----------

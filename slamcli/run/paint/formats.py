@@ -38,7 +38,7 @@ class MapToWrite:
         After each file's stem: empty for the first map, ``_1`` for the next.
     store : TileStore
     grid : Grid
-        What of it is written.
+        The part of it that is written.
     unit : str
     map_from_painted : Pose2
     options : ProductOptions
@@ -60,27 +60,27 @@ class MapToWrite:
         return self.folder / f"{stem}{self.suffix}{ending}"
 
 
-def _write_png(what: MapToWrite) -> None:
-    path = what.path("mosaic", ".png")
-    _write_strips(what, path, _floor_strip)
+def _write_png(output: MapToWrite) -> None:
+    path = output.path("mosaic", ".png")
+    _write_strips(output, path, _floor_strip)
     world_file.write_nav2_map(
-        what.path("mosaic", ".yaml"), path.name, what.grid, what.unit, what.map_from_painted
+        output.path("mosaic", ".yaml"), path.name, output.grid, output.unit, output.map_from_painted
     )
-    if what.store.stands():
-        _write_strips(what, what.path("obstacles", ".png"), _obstacle_strip)
-    for name in what.options.layers:
-        pixels = np.zeros((what.grid.height, what.grid.width), np.uint16)
-        for row, column, tile in what.store.tiles(what.grid):
+    if output.store.stands():
+        _write_strips(output, output.path("obstacles", ".png"), _obstacle_strip)
+    for name in output.options.layers:
+        pixels = np.zeros((output.grid.height, output.grid.width), np.uint16)
+        for row, column, tile in output.store.tiles(output.grid):
             put_part(pixels, _deep_gray(name, tile.layers[name]), row, column)
-        write_image(what.path(name, ".png"), pixels)  # type: ignore[arg-type]
-        world_file.write_world_file(what.path(name, ".pgw"), what.grid, what.map_from_painted)
+        write_image(output.path(name, ".png"), pixels)  # type: ignore[arg-type]
+        world_file.write_world_file(output.path(name, ".pgw"), output.grid, output.map_from_painted)
 
 
 def _write_strips(
-    what: MapToWrite, path: Path, strip: Callable[[TileStore, Grid], png.Strip]
+    output: MapToWrite, path: Path, strip: Callable[[TileStore, Grid], png.Strip]
 ) -> None:
     """Write a PNG strip by strip, so that its pixels are never in memory at once."""
-    grid, side = what.grid, tiles.TILE_PIXELS
+    grid, side = output.grid, tiles.TILE_PIXELS
     # Cut where tiles end, so that none is read twice.
     first = side - round(-grid.y_max / grid.metres_per_pixel) % side
     starts = [0, *range(first, grid.height, side)]
@@ -89,9 +89,9 @@ def _write_strips(
         grid.window(0, start, grid.width, end - start)
         for start, end in zip(starts, ends, strict=True)
     ]
-    work = partial(strip, what.store)
-    png.write_png(path, grid.width, grid.height, what.session.ordered(work, parts))
-    world_file.write_world_file(path.with_suffix(".pgw"), grid, what.map_from_painted)
+    work = partial(strip, output.store)
+    png.write_png(path, grid.width, grid.height, output.session.ordered(work, parts))
+    world_file.write_world_file(path.with_suffix(".pgw"), grid, output.map_from_painted)
 
 
 def _floor_strip(store: TileStore, grid: Grid) -> png.Strip:
@@ -106,10 +106,10 @@ def _obstacle_strip(store: TileStore, grid: Grid) -> png.Strip:
     return png.compress(layer)
 
 
-def _write_geotiff(what: MapToWrite) -> None:
-    shape = (what.grid.height, what.grid.width)
-    transform = what.map_from_painted.matrix @ what.grid.metres_from_corner
-    datum = what.options.datum
+def _write_geotiff(output: MapToWrite) -> None:
+    shape = (output.grid.height, output.grid.width)
+    transform = output.map_from_painted.matrix @ output.grid.metres_from_corner
+    datum = output.options.datum
     if datum is not None:
         transform = Pose2(0.0, 0.0, datum.east_heading_radians).matrix @ transform
 
@@ -120,20 +120,20 @@ def _write_geotiff(what: MapToWrite) -> None:
         pixels: Callable[[StoredTile], GenericArray | None],
         nodata: float | None,
     ) -> None:
-        blocks = _blocks(what, pixels)
-        path = what.path(stem, ".tif")
+        blocks = _blocks(output, pixels)
+        path = output.path(stem, ".tif")
         geotiff.write_geotiff(path, shape, bands, kind, blocks, transform, datum, nodata)
 
     write("mosaic", 4, "uint8", lambda tile: world_file.transparent(tile.image, tile.mask), None)
-    if what.store.stands():
+    if output.store.stands():
         write("obstacles", 4, "uint8", lambda tile: tile.obstacles, None)
-    for name in what.options.layers:
+    for name in output.options.layers:
         kind, nodata = _KINDS[name]
         write(name, 1, kind, lambda tile, name=name: tile.layers[name], nodata)  # type: ignore[misc]
 
 
-def _write_deep_zoom(what: MapToWrite) -> None:
-    grid = what.grid
+def _write_deep_zoom(output: MapToWrite) -> None:
+    grid = output.grid
     side = tiles.TILE_PIXELS
     aligned = whole_tiles(grid)
     margin = (
@@ -142,51 +142,51 @@ def _write_deep_zoom(what: MapToWrite) -> None:
     )
 
     def cut() -> Iterator[tuple[int, int, UInt8Array]]:
-        for row, column, tile in what.store.tiles(aligned):
+        for row, column, tile in output.store.tiles(aligned):
             pixels = world_file.transparent(tile.image, tile.mask)
-            if what.options.crop is not None:
+            if output.options.crop is not None:
                 outside = np.ones(pixels.shape[:2], np.bool_)
                 inside = np.zeros((grid.height, grid.width), np.bool_)
                 put_part(outside, inside, margin[0] - row, margin[1] - column)
                 pixels[outside] = 0
             yield row // side, column // side, pixels
 
-    name = f"mosaic{what.suffix}"
-    deepzoom.write_deep_zoom(what.folder, name, (aligned.width, aligned.height), side, cut())
+    name = f"mosaic{output.suffix}"
+    deepzoom.write_deep_zoom(output.folder, name, (aligned.width, aligned.height), side, cut())
 
 
-def _write_nav2(what: MapToWrite) -> None:
+def _write_nav2(output: MapToWrite) -> None:
     """Write free, occupied and unknown at a planner's resolution."""
-    scale = what.grid.metres_per_pixel
+    scale = output.grid.metres_per_pixel
     factor = 1
-    max_scale = what.options.nav_metres_per_pixel * (1 + 1e-9)
+    max_scale = output.options.nav_metres_per_pixel * (1 + 1e-9)
     while scale * factor * 2 <= max_scale and factor < _MAX_NAV_FACTOR:
         factor *= 2
-    grid = whole_tiles(what.grid)
-    gray = _occupancy(what, grid, factor)
+    grid = whole_tiles(output.grid)
+    gray = _occupancy(output, grid, factor)
     seen = cv2.findNonZero((gray != world_file.UNKNOWN_GRAY).astype(np.uint8))
     left, top, width, height = cv2.boundingRect(seen)
     small = Grid(grid.x_min, grid.y_max, scale * factor, gray.shape[1], gray.shape[0])
-    path = what.path("nav2", ".pgm")
+    path = output.path("nav2", ".pgm")
     world_file.write_pgm(path, gray[top : top + height, left : left + width])
     world_file.write_nav2_map(
-        what.path("nav2", ".yaml"),
+        output.path("nav2", ".yaml"),
         path.name,
         small.window(left, top, width, height),
-        what.unit,
-        what.map_from_painted,
+        output.unit,
+        output.map_from_painted,
     )
 
 
-def _occupancy(what: MapToWrite, grid: Grid, factor: int) -> UInt8Array:
+def _occupancy(output: MapToWrite, grid: Grid, factor: int) -> UInt8Array:
     """Return (h, w) gray levels of Nav2, each for factor x factor pixels of whole tiles."""
-    image, mask = what.store.overview(grid, factor)
+    image, mask = output.store.overview(grid, factor)
     gray = np.where(mask > 0, np.uint8(world_file.FREE_GRAY), np.uint8(world_file.UNKNOWN_GRAY))
-    if what.options.nav_lines:
+    if output.options.nav_lines:
         lines = obstacles.line_cells(image, mask, grid.metres_per_pixel * factor)
         gray[lines] = world_file.OCCUPIED_GRAY
         return gray
-    for row, column, tile in what.store.tiles(grid):
+    for row, column, tile in output.store.tiles(grid):
         if tile.obstacles is not None:
             occupied = obstacles.obstacle_cells(tile.obstacles, factor)
             part = gray[row // factor :, column // factor :]
@@ -195,9 +195,9 @@ def _occupancy(what: MapToWrite, grid: Grid, factor: int) -> UInt8Array:
 
 
 def _blocks(
-    what: MapToWrite, pixels: Callable[[StoredTile], GenericArray | None]
+    output: MapToWrite, pixels: Callable[[StoredTile], GenericArray | None]
 ) -> Iterator[tuple[int, int, GenericArray]]:
-    for row, column, tile in what.store.tiles(what.grid):
+    for row, column, tile in output.store.tiles(output.grid):
         part = pixels(tile)
         if part is not None:
             yield row, column, part

@@ -100,21 +100,21 @@ def check_formats(options: ProductOptions) -> None:
         geotiff.check_geotiff()
 
 
-def _write_map(what: MapToWrite, scene: Scene) -> None:
+def _write_map(output: MapToWrite, scene: Scene) -> None:
     """Write a map in every format of its options, and the trajectory drawn over it."""
-    _check_png(what.grid, what.options)
-    for name in what.options.formats:
-        FORMATS[name](what)
-    grid, factor, side = what.grid, 1, max(what.grid.width, what.grid.height)
+    _check_png(output.grid, output.options)
+    for name in output.options.formats:
+        FORMATS[name](output)
+    grid, factor, side = output.grid, 1, max(output.grid.width, output.grid.height)
     while side > 2 * _OVERVIEW_PIXELS * factor and factor < _MAX_OVERVIEW_FACTOR:
         factor *= 2
     if factor > 1:
         grid = whole_tiles(grid)
-    image, mask = what.store.overview(grid, factor)
+    image, mask = output.store.overview(grid, factor)
     height, width = mask.shape
     small = Grid(grid.x_min, grid.y_max, grid.metres_per_pixel * factor, width, height)
-    drawing = draw_trajectory(image, mask, small, scene.estimates, what.unit)
-    write_image(what.path("trajectory", ".png"), drawing)
+    drawing = draw_trajectory(image, mask, small, scene.estimates, output.unit)
+    write_image(output.path("trajectory", ".png"), drawing)
 
 
 def _check_size(scene: Scene, painter: Painter, options: ProductOptions) -> None:

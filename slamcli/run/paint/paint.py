@@ -30,7 +30,7 @@ from slamcli.stages.mosaic.tiles import TileKey
 
 
 def make_painter(calibration: Calibration, options: ProductOptions) -> Painter:
-    """Return what paints frames of a camera as they are, at the map's scale."""
+    """Return the painter of a camera's frames, as they are lit, at the scale of the map."""
     default = projection.default_metres_per_pixel
     scale = options.paint.metres_per_pixel or default(calibration)
     return Painter(calibration, scale, options.paint)

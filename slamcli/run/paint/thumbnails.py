@@ -49,5 +49,5 @@ def thumbnail(frame: Frame) -> UInt8Array:
 
 
 def read_thumbnail(file: FrameFile) -> UInt8Array:
-    """Return what `Thumbnails` would have kept of a frame; raises FrameError."""
+    """Return the thumbnail of a frame that was not kept; raises FrameError."""
     return thumbnail(read_frame(file, gray=True))

@@ -1,7 +1,7 @@
 """The cluster: work on other processes and machines, through Dask.
 
 Each worker gets a function once and keeps it, with all that it refers to; the results of a worker
-that dies are computed anew on another. Frames go by path: every machine must find
+that dies are computed anew on another. Frames are sent by path: every machine must find
 them under the same one.
 """
 

@@ -11,34 +11,23 @@ import numpy as np
 import pytest
 from command_line import slam
 from trajectories import read_poses, read_rows
+from worlds import make_photographer, take
 
 import slamcli
 from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import write_image
 from slamcli.io.map_file import load_map, save_map
-from slamcli.simulation import floors, photograph
-from slamcli.simulation.config import CameraOptions, DisturbanceOptions
+from slamcli.simulation import photograph
 
-CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
 FIRST = [Pose2(0.06 * n) for n in range(8)]
 # Across the first lane at another heading, and on over new floor.
 LATER = [Pose2(0.42, -0.2, 1.9) @ Pose2(0.05 * n) for n in range(7)]
 
 
-def photographer(seed: int) -> photograph.Photographer:
-    floor = floors.make_floor("asphalt", 0.0, 0.001, seed=seed)
-    return photograph.Photographer(photograph.World(floor), photograph.make_camera(CAMERA))
-
-
 @pytest.fixture(scope="module")
 def old() -> photograph.Photographer:
-    return photographer(3)
-
-
-def take(camera: photograph.Photographer, pose: Pose2, seed: int) -> np.ndarray:
-    generator = np.random.default_rng(seed)
-    return photograph.take(camera, (pose, pose), 0.0, DisturbanceOptions(), generator)
+    return make_photographer()
 
 
 def errors(estimates: list[slamcli.PoseEstimate], truth: list[Pose2]) -> list[float]:
@@ -78,8 +67,8 @@ def test_a_changed_floor_does_not_wreck_the_map(
     old: photograph.Photographer, first_map: slamcli.FloorMap
 ) -> None:
     """Beyond a line the floor is another one than before; the robot comes back over it."""
-    new = photographer(9)
-    width, height = CAMERA.size
+    new = make_photographer(9)
+    width, height = old.calibration.image_size
     pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 2)
     on_floor = apply_homography(old.calibration.robot_from_image, pixels.astype(np.float64))
     # From known floor on to what has changed, and back to known floor at another place.
