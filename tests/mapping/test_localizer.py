@@ -157,8 +157,8 @@ def test_the_command_tells_where_frames_are(
     rows = table.read_text().splitlines()
     assert len(rows) == 4
     assert rows[1].split(",")[3] == "tracked"
-    told = slam("locate", map_file, *frames, "--json")
-    entries = json.loads(told.stdout)
+    printed = slam("locate", map_file, *frames, "--json")
+    entries = json.loads(printed.stdout)
     assert [entry["here"] for entry in entries] == [True, False, False]
     assert math.hypot(entries[0]["x"] - 0.1, entries[0]["y"] - 0.01) < 0.002
     alone = slam("locate", map_file, frames[1])

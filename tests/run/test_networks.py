@@ -133,8 +133,8 @@ def test_the_commands_take_the_files(folder, tmp_path):
     assert maps[0] == maps[1]
     rows = list(csv.DictReader(maps[0].decode().splitlines()))
     assert [row["status"] for row in rows] == ["tracked", "tracked"]
-    told = tomllib.loads((tmp_path / "map1" / "run.toml").read_text(encoding="utf-8"))
-    assert told["options"]["networks"]["weights"] == str(folder / "aliked.onnx")
+    recorded = tomllib.loads((tmp_path / "map1" / "run.toml").read_text(encoding="utf-8"))
+    assert recorded["options"]["networks"]["weights"] == str(folder / "aliked.onnx")
 
 
 @pytest.mark.parametrize(

@@ -121,19 +121,19 @@ def test_a_pyramid_of_odd_size_ends_in_one_pixel(tmp_path: Path) -> None:
 
 def load_nav2(folder: Path) -> tuple[np.ndarray, Grid]:
     """Read a map as Nav2's map_server does (trinary): -1 unknown, 0 free, 100 occupied."""
-    told = yaml.safe_load((folder / "nav2.yaml").read_text())
-    data = (folder / told["image"]).read_bytes()
+    description = yaml.safe_load((folder / "nav2.yaml").read_text())
+    data = (folder / description["image"]).read_bytes()
     magic, size, depth, pixels = data.split(b"\n", 3)
     width, height = map(int, size.split())
     assert (magic, depth, len(pixels)) == (b"P5", b"255", width * height)
     gray = np.frombuffer(pixels, np.uint8).reshape(height, width)
     occupancy = (255 - gray.astype(float)) / 255
     cells = np.full(gray.shape, -1)
-    cells[occupancy < told["free_thresh"]] = 0
-    cells[occupancy > told["occupied_thresh"]] = 100
-    x, y, yaw = told["origin"]
+    cells[occupancy < description["free_thresh"]] = 0
+    cells[occupancy > description["occupied_thresh"]] = 100
+    x, y, yaw = description["origin"]
     assert yaw == 0
-    scale = told["resolution"]
+    scale = description["resolution"]
     return cells, Grid(x, y + height * scale, scale, width, height)
 
 

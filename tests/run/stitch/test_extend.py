@@ -134,7 +134,7 @@ def test_a_later_drive_is_added(drives: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["first"], "part of that map already"),
         (["later", "-c", "first/calibration.yaml"], "the map's own camera"),
@@ -143,12 +143,12 @@ def test_a_later_drive_is_added(drives: Path, tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_added_is_refused(
-    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], told: str
+    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], message: str
 ) -> None:
     monkeypatch.chdir(drives)
     result = slam("stitch", *words, "--extend", "out", "-o", tmp_path / "no")
     assert result.exit_code in {1, 2}
-    assert told in result.output
+    assert message in result.output
     assert not (tmp_path / "no").exists()
 
 

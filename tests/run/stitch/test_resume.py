@@ -70,9 +70,9 @@ def test_ctrl_c_ends_with_what_is_there_and_can_be_gone_on_with(
                 os.kill(process.pid, signal.SIGINT)
                 break
         process.stderr.read()
-        told = process.stdout.read()
+        printed = process.stdout.read()
     assert process.returncode == 130
-    assert "interrupted" in told
+    assert "interrupted" in printed
     rows = (cut / "poses.csv").read_text().splitlines()
     assert len(rows) == 6
     assert "not reached: interrupted" in rows[-1]

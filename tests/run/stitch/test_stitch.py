@@ -88,17 +88,17 @@ def test_the_mosaic_is_the_floor_at_its_place(course_map: Path, samples_folder: 
 
 def test_a_run_tells_what_it_did(course_map: Path) -> None:
     assert (course_map / "poses.csv").read_text().splitlines()[0] == COLUMNS
-    told = tomllib.loads((course_map / "run.toml").read_text())
-    assert told["counts"] == {
+    recorded = tomllib.loads((course_map / "run.toml").read_text())
+    assert recorded["counts"] == {
         "frames": 40,
         "placed": 40,
         "predicted": 0,
         "lost": 0,
         "fragments": 1,
-        "links": told["counts"]["links"],
+        "links": recorded["counts"]["links"],
         "switched_off": 0,
     }
-    assert told["options"]["mapper"]["matching"]["model"] == "rigid"
+    assert recorded["options"]["mapper"]["matching"]["model"] == "rigid"
     assert cv2.imread(str(course_map / "trajectory.png")) is not None
     assert not (course_map / "matches").exists()
     assert sorted(p.name for p in course_map.iterdir()) == [
