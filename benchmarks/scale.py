@@ -21,6 +21,7 @@ from pathlib import Path
 
 from slamcli.core.config import MapperOptions, PaintOptions, ProductOptions
 from slamcli.run.session.executor import default_workers
+from slamcli.run.session.session import Session
 from slamcli.run.stitch import stitch
 from slamcli.run.stitch.options import StitchOptions
 
@@ -67,12 +68,10 @@ def measure(drive: Path, count: int, metres_per_pixel: float | None, work: Path)
     options = StitchOptions(
         MapperOptions(),
         products=ProductOptions(PaintOptions(metres_per_pixel=metres_per_pixel)),
-        workers=default_workers(),
     )
+    session = Session(default_workers(), progress=progress, notify=print)
     camera, output = drive / "camera.yaml", work / "map"
-    report = stitch(
-        [frames], camera, output, options, overwrite=True, progress=progress, tell=print
-    )
+    report = stitch([frames], camera, output, options, overwrite=True, session=session)
     print(report)
     return [*marks, mark("end", count)]
 

@@ -86,19 +86,17 @@ def calibrate(
     if calibration is not None and not refine:
         raise click.UsageError("-c is for --refine, which refines a calibration by frames")
     if refine and (calibration is not None or any(photo.is_dir() for photo in photos)):
-        from slamcli.cli.progress import ProgressBar
+        from slamcli.cli.progress import open_session
         from slamcli.run.calibrate.self_calibration import calibrate_by_frames
-        from slamcli.run.session.executor import default_workers
 
-        with ProgressBar() as progress:
+        with open_session(workers) as session:
             lines = calibrate_by_frames(
                 photos,
                 calibration,
                 output,
                 max_range,
-                workers=workers or default_workers(),
                 overwrite=overwrite,
-                progress=progress,
+                session=session,
             )
     else:
         start = CalibrateOptions(side, refine=refine, max_range_metres=max_range)

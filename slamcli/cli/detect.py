@@ -36,19 +36,17 @@ def detect(
     FRAMES is a folder or image files. The drawings also show what is left out by --clean
     and --roi, and features.csv lists all points.
     """
-    from slamcli.cli.progress import ProgressBar
+    from slamcli.cli.progress import open_session
     from slamcli.run.detect import detect as run_detect
-    from slamcli.run.session.executor import default_workers
 
-    with ProgressBar() as progress:
+    with open_session(workers) as session:
         lines = run_detect(
             frames,
             calibration,
             output or common.default_output(frames[0], "features"),
             filled(FeatureOptions(), flags),
             filled(NetworkFiles(), flags),
-            workers=workers or default_workers(),
             overwrite=overwrite,
-            progress=progress,
+            session=session,
         )
     click.echo("\n".join(lines))

@@ -10,6 +10,7 @@ import click
 
 from slamcli import __version__
 from slamcli.core.errors import SlamcliError
+from slamcli.core.exit_codes import ExitCode
 
 # Each has a module of its name beside this one. The texts are the commands' own first sentences,
 # which a test compares: the list of commands must not load what their options need.
@@ -46,12 +47,15 @@ class SlamGroup(click.Group):
             formatter.write_dl(sorted(COMMANDS.items()))
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; exit 1 with one line for an error that the user can correct."""
+        """Run the command; an error that the user can correct is one line and an exit code."""
         try:
             return super().invoke(ctx)
         except SlamcliError as error:
             click.echo(f"Error: {error}", err=True)
-            sys.exit(1)
+            sys.exit(ExitCode.ERROR)
+        except KeyboardInterrupt:
+            click.echo("interrupted", err=True)
+            sys.exit(ExitCode.INTERRUPTED)
 
 
 @click.group(cls=SlamGroup, context_settings={"help_option_names": ["-h", "--help"]})

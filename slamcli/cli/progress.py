@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Self
 
 import click
 from tqdm import tqdm
 
+from slamcli.run.session.executor import default_workers
+from slamcli.run.session.session import Session
+
 _LINES_PER_STAGE = 5
 
 
 class ProgressBar:
-    """The progress of each stage; a context manager, as a bar must be closed."""
+    """Shows how far each stage is; a context manager, as a bar must be closed."""
 
     def __init__(self) -> None:
         self._terminal = sys.stderr.isatty()
@@ -20,7 +25,7 @@ class ProgressBar:
         self._bar: tqdm[Any] | None = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Show that `done` of `total` steps of a stage are finished."""
+        """Show that `done` of `total` steps of `stage` are finished."""
         if not self._terminal:
             if done == total or done % max(1, total // _LINES_PER_STAGE) == 0:
                 click.echo(f"{stage} {done}/{total}", err=True)
@@ -30,7 +35,7 @@ class ProgressBar:
             self._stage, self._bar = stage, tqdm(total=total, desc=stage, unit="frame")
         self._bar.update(done - self._bar.n)
 
-    def tell(self, line: str) -> None:
+    def notify(self, line: str) -> None:
         """Print a line that is not a result."""
         self._close()
         click.echo(line, err=True)
@@ -45,3 +50,10 @@ class ProgressBar:
         if self._bar is not None:
             self._bar.close()
             self._bar = None
+
+
+@contextmanager
+def open_session(workers: int | None, scheduler: str = "") -> Iterator[Session]:
+    """Yield the session of a command, with a progress bar; by default on all processors."""
+    with ProgressBar() as bar:
+        yield Session(workers or default_workers(), scheduler, bar, bar.notify)

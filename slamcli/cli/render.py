@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -34,19 +35,17 @@ def render(
     RUN is the output folder of `slam stitch`. The poses stay as they are: no frame is located
     again.
     """
-    from slamcli.cli.progress import ProgressBar
+    from slamcli.cli.progress import open_session
     from slamcli.run.render import render as run_render
-    from slamcli.run.session.executor import default_workers
 
-    with ProgressBar() as progress:
-        lines = run_render(
+    with open_session(workers) as session:
+        lines, code = run_render(
             run,
             frames,
             output or common.default_output(run, "render"),
             filled(ProductOptions(), flags),
-            workers=workers or default_workers(),
             overwrite=overwrite,
-            progress=progress,
-            tell=progress.tell,
+            session=session,
         )
     click.echo("\n".join(lines))
+    sys.exit(code)

@@ -30,16 +30,14 @@ def simulate(output: Path, workers: int | None, overwrite: bool, **flags: Any) -
     OUTPUT is a folder for the frames, a calibration photo, the true poses, and the readings of
     odometry, compass and GPS.
     """
-    from slamcli.cli.progress import ProgressBar
-    from slamcli.run.session.executor import default_workers
+    from slamcli.cli.progress import open_session
     from slamcli.run.simulate import simulate as run_simulate
 
-    with ProgressBar() as progress:
+    with open_session(workers) as session:
         lines = run_simulate(
             output,
             filled(SimulationOptions(), flags),
-            workers=workers or default_workers(),
             overwrite=overwrite,
-            progress=progress,
+            session=session,
         )
     click.echo("\n".join(lines))

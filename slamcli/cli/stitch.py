@@ -62,6 +62,7 @@ _run_options = stacked(
         text="Continue an interrupted run of the same frames and options.",
         is_flag=True,
     ),
+    _stitch("strict", "--strict", text="Exit 3 when any frame is lost.", is_flag=True),
     _stitch(
         "self_calibrate",
         "--self-calibrate/--no-self-calibrate",
@@ -101,8 +102,7 @@ def stitch(
     map (an orthomosaic: metric, seen from above, with a world file) and poses.csv, which has for
     every frame its pose, or the reason why it has none.
     """
-    from slamcli.cli.progress import ProgressBar
-    from slamcli.run.session.executor import default_workers
+    from slamcli.cli.progress import open_session
     from slamcli.run.stitch import stitch as run_stitch
     from slamcli.run.stitch.options import StitchOptions
     from slamcli.run.telemetry import TelemetryFiles
@@ -112,14 +112,12 @@ def stitch(
         MapperOptions(),
         TelemetryOptions(time_offset_seconds=offset[0] if offset else 0.0),
         max_range_metres=flags["max_range"],
-        workers=workers or default_workers(),
-        scheduler=flags["scheduler"],
     )
     resolved = filled(start, flags)
     if flags["dry_run"]:
-        _dry_run(frames, calibration, resolved)
+        _dry_run(frames, calibration, resolved, workers)
         return
-    with ProgressBar() as progress:
+    with open_session(workers, flags["scheduler"]) as session:
         report = run_stitch(
             frames,
             calibration,
@@ -127,20 +125,24 @@ def stitch(
             resolved,
             telemetry=filled(TelemetryFiles(find_time_offset=offset is None), flags),
             overwrite=overwrite,
-            progress=progress,
-            tell=progress.tell,
+            session=session,
         )
     click.echo("\n".join(report.lines))
     sys.exit(report.exit_code)
 
 
-def _dry_run(frames: tuple[Path, ...], calibration: Path | None, options: StitchOptions) -> None:
+def _dry_run(
+    frames: tuple[Path, ...],
+    calibration: Path | None,
+    options: StitchOptions,
+    workers: int | None,
+) -> None:
     """Print the faults of the frames and what a run will take."""
-    from slamcli.cli.progress import ProgressBar
+    from slamcli.cli.progress import open_session
     from slamcli.run.stitch.dry_run import forecast
 
     if options.extend:
         raise click.UsageError("--dry-run does not take --extend")
-    with ProgressBar() as progress:
-        lines = forecast(frames, calibration, options, progress)
+    with open_session(workers) as session:
+        lines = forecast(frames, calibration, options, session=session)
     click.echo("\n".join(lines))

@@ -34,19 +34,17 @@ def warp(
     FRAMES is a folder or image files. Each becomes a PNG with a world file (inverse perspective
     mapping), transparent where no floor is seen.
     """
-    from slamcli.cli.progress import ProgressBar
-    from slamcli.run.session.executor import default_workers
+    from slamcli.cli.progress import open_session
     from slamcli.run.warp import warp as run_warp
 
-    with ProgressBar() as progress:
+    with open_session(workers) as session:
         lines = run_warp(
             frames,
             calibration,
             output or common.default_output(frames[0], "birdseye"),
             metres_per_pixel=filled(PaintOptions(), flags).metres_per_pixel,
             max_range_metres=max_range,
-            workers=workers or default_workers(),
             overwrite=overwrite,
-            progress=progress,
+            session=session,
         )
     click.echo("\n".join(lines))

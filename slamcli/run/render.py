@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 from slamcli.core.config import ProductOptions
 from slamcli.core.errors import InputError
+from slamcli.core.exit_codes import ExitCode
 from slamcli.io.files import output_folder, remove_folder
 from slamcli.io.frames import list_frames
 from slamcli.io.map_file import MAP_NAME, load_map
 from slamcli.run.inputs import map_file_of, map_sources
 from slamcli.run.paint import outputs
-from slamcli.run.paint.paint import scenes_of
-from slamcli.run.session.executor import Progress
-from slamcli.run.session.interruption import interruptible
+from slamcli.run.paint.scene import scenes_of
+from slamcli.run.session.session import Session
 
 
 def render(
@@ -25,12 +24,10 @@ def render(
     output: Path,
     options: ProductOptions,
     *,
-    workers: int,
     overwrite: bool,
-    progress: Progress,
-    tell: Callable[[str], None],
-) -> list[str]:
-    """Paint the map of an earlier run into `output`; return the closing table's lines.
+    session: Session,
+) -> tuple[list[str], ExitCode]:
+    """Paint the map of an earlier run into `output`; return the closing table and the exit code.
 
     Parameters
     ----------
@@ -55,23 +52,24 @@ def render(
     where = partial(map_file_of, files, remedy=remedy)
     scenes = scenes_of(floor_map.calibration, estimates, where, options.turn_radians)
     with (
-        interruptible() as interruption,
+        session.interruption.on_sigint(),
         output_folder(output, outputs.PRODUCTS, overwrite=overwrite) as staging,
     ):
-        area = outputs.write_maps(
-            scenes, options, {}, staging, staging / "tiles", workers, progress, tell, interruption
-        )
+        painted = outputs.write_maps(scenes, options, staging, staging / "tiles", session)
         remove_folder(staging / "tiles")
     unit = floor_map.calibration.unit
     lines = [
         f"{'frames':<12} {len(estimates)}",
-        f"{'area':<12} {area:.3f} {unit}²",
+        f"{'area':<12} {painted.area_square_metres:.3f} {unit}²",
         f"{'time':<12} {time.monotonic() - started:.1f} s",
         f"{'written to':<12} {output}",
     ]
-    if interruption.happened:
+    if painted.unread:
+        lines.insert(0, painted.note)
+    if session.interruption.happened:
         lines.insert(0, "interrupted: the map has only the tiles painted so far")
-    return lines
+        return lines, ExitCode.INTERRUPTED
+    return lines, ExitCode.INCOMPLETE if painted.unread else ExitCode.DONE
 
 
 def _folder(run_folder: Path) -> Path:

@@ -31,6 +31,11 @@ class TelemetryFiles:
     gps: Path | None = None
     find_time_offset: bool = False
 
+    @property
+    def any(self) -> bool:
+        """Whether there is a file at all."""
+        return any(path is not None for path in (self.odometry, self.compass, self.gps))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Telemetry:
@@ -73,7 +78,7 @@ def read_telemetry(files: TelemetryFiles, inputs: Inputs) -> Telemetry:
 
 
 def feed(mapper: Mapper, telemetry: Telemetry) -> None:
-    """Give the mapper all readings. Raises InputError without pyproj for GPS."""
+    """Pass all readings to the mapper. Raises InputError without pyproj for GPS."""
     for odometry in telemetry.odometry:
         mapper.odometry(odometry)
     for compass in telemetry.compass:

@@ -46,6 +46,8 @@ json_output = click.option(
     "--json", "as_json", is_flag=True, help="Print all results as JSON, in place of text."
 )
 
+strict = click.option("--strict", is_flag=True, help="Exit 3 when any frame is lost.")
+
 workers = click.option(
     "--workers",
     type=AT_LEAST_ONE,

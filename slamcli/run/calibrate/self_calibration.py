@@ -21,7 +21,7 @@ from slamcli.io.frames import read_frame
 from slamcli.io.toml import Scalar
 from slamcli.run.frame_loop import register
 from slamcli.run.inputs import Inputs, open_inputs
-from slamcli.run.session.executor import Progress, ordered
+from slamcli.run.session.session import Session
 from slamcli.selfcal import RegisteredDrive, SelfCalibration, refine
 from slamcli.stages import calibrate as solving
 
@@ -32,9 +32,8 @@ def calibrate_by_frames(
     output: Path,
     max_range_metres: float | None,
     *,
-    workers: int,
     overwrite: bool,
-    progress: Progress,
+    session: Session,
 ) -> list[str]:
     """Refine an existing calibration by a drive's frames; write it and return what to tell.
 
@@ -49,8 +48,8 @@ def calibrate_by_frames(
     if inputs.calibration_path is None:
         raise InputError("--refine starts from a calibration; give it with -c")
     options = MapperOptions()
-    first = register(inputs.files, options, workers, progress, inputs.calibration)
-    done = self_calibrate(inputs, first, options, workers, progress)
+    first = register(inputs.files, options, session, inputs.calibration)
+    done = self_calibrate(inputs, first, options, session)
     if done.verdict == "not applied":
         raise CalibrationError(f"the calibration is left as it was: {done.reason}")
     origin = load_origin(inputs.calibration_path)
@@ -60,19 +59,16 @@ def calibrate_by_frames(
 
 
 def self_calibrate(
-    inputs: Inputs,
-    first: RegisteredDrive,
-    options: MapperOptions,
-    workers: int,
-    progress: Progress,
+    inputs: Inputs, first: RegisteredDrive, options: MapperOptions, session: Session
 ) -> SelfCalibration:
     """Refine camera and poses by the frames that have been registered."""
     origin = None if inputs.calibration_path is None else load_origin(inputs.calibration_path)
+    here = session.on_this_machine()
     return refine(
         first,
         lambda index: read_frame(inputs.files[index]),
-        partial(register, inputs.files, options, workers, progress),
-        partial(ordered, workers=workers),
+        partial(register, inputs.files, options, here),
+        here.ordered,
         partial(true_scale, origin),
     )
 

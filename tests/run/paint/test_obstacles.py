@@ -10,10 +10,9 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_line import slam
 
 import slamcli
-from slamcli.cli.main import main
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame
 from slamcli.io.calibrations import save_calibration
@@ -74,7 +73,7 @@ def obstacles_of(pair, tilt_degrees=0.1):
     )
     assert refined is not None
     warp = refined.view_a_from_view_b
-    return dense.obstacles(first.levels, second.levels, warp, CALIBRATION), warp
+    return dense.find_obstacles(first.levels, second.levels, warp, CALIBRATION), warp
 
 
 def near_things(pair, warp, marks):
@@ -134,12 +133,12 @@ def test_match_draws_what_stands(tmp_path):
     save_calibration(tmp_path / "calibration.yaml", CALIBRATION)
     drawing = tmp_path / "match.png"
     arguments = ["match", tmp_path / "a.png", tmp_path / "b.png", "-o", drawing]
-    result = CliRunner().invoke(main, [*map(str, arguments), "--json"], catch_exceptions=False)
+    result = slam(*arguments, "--json")
     assert result.exit_code == 0, result.output
     facts = json.loads(result.stdout)
     assert min(facts["obstacles"]["cells"]) >= 10
     assert facts["first_from_second"]["x"] == pytest.approx(MOTION.x, abs=0.004)
-    said = CliRunner().invoke(main, [*map(str, arguments), "--overwrite"])
+    said = slam(*arguments, "--overwrite")
     assert "seems to stand on the floor" in said.stdout
     shown = cv2.imread(str(drawing)).astype(int)
     # The matches' lines are red or green too; the tint alone is pale.
