@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 DEMO ?= demo
 
-.PHONY: demo test lint bench samples clean
+.PHONY: demo test lint docs figures bench samples clean
 
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -13,6 +13,10 @@ $(VENV)/installed: pyproject.toml
 
 $(VENV)/installed-dev: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $@
+
+$(VENV)/installed-docs: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	touch $@
 
 demo: $(VENV)/installed
@@ -27,6 +31,13 @@ lint: $(VENV)/installed-dev
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
+docs: $(VENV)/installed-docs
+	$(BIN)/python -m mkdocs build --strict --quiet
+
+# Draws the pictures of the documentation anew, with the commands that the pages show.
+figures: $(VENV)/installed
+	$(BIN)/python docs/figures.py
+
 # The stitching package brings another build of OpenCV: it gets a place of its own.
 bench:
 	$(PYTHON) -m venv $(VENV)-bench
@@ -37,4 +48,4 @@ samples: $(VENV)/installed
 	$(BIN)/python samples/make.py
 
 clean:
-	rm -rf $(VENV) $(VENV)-bench $(DEMO)
+	rm -rf $(VENV) $(VENV)-bench $(DEMO) site
