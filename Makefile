@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 DEMO ?= demo
 
-.PHONY: demo test lint docs figures bench samples clean
+.PHONY: demo test test-all lint docs figures bench samples clean
 
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -26,13 +26,17 @@ demo: $(VENV)/installed
 test: $(VENV)/installed-dev lint
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
+# What is slow, too.
+test-all: $(VENV)/installed-dev lint
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m ""
+
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
 docs: $(VENV)/installed-docs
-	$(BIN)/python -m mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 # Draws the pictures of the documentation anew, with the commands that the pages show.
 figures: $(VENV)/installed

@@ -20,6 +20,8 @@ IMAGES = ROOT / "docs" / "images"
 COURSE = ROOT / "samples" / "course"
 MAX_BYTES = 150_000
 GAP_PIXELS = 12
+LAWNMOWER = ("--path", "lawnmower", "--length", 10, "--lane", 0.45)
+LOOP = ("--path", "loop", "--length", 4, "--frames", 50)
 LINK_COLOURS = {"step": (60, 160, 60), "loop": (40, 40, 220)}
 
 
@@ -29,6 +31,7 @@ def main() -> None:
         work = Path(folder)
         draw_course(work)
         draw_planks(work)
+        draw_obstacles(work)
 
 
 def draw_course(work: Path) -> None:
@@ -38,9 +41,9 @@ def draw_course(work: Path) -> None:
     slam("calibrate", COURSE / "square.png", "--side", 0.3048, "-o", calibration)
     slam("warp", frames[0], "-c", calibration, "-o", work / "views")
     slam("detect", frames[0], "-c", calibration, "-o", work / "points", "--count", 1000)
-    features = ("match", *frames, "-c", calibration, "--features", "orb", "--count", 1000)
-    slam(*features, "-o", work / "matches.png")
-    # No features convince that search for more inliers than there are points.
+    features = ("match", *frames, "-c", calibration, "--features", "orb")
+    slam(*features, "--count", 1000, "-o", work / "matches.png")
+    # With more inliers needed than there are points, the pixels are searched.
     slam(*features, "--min-inliers", 5000, "-o", work / "search.png")
     stitch = ("stitch", COURSE / "frames", "-c", calibration, "-o", work / "map")
     slam(*stitch, "--export", "links", "--layers", "resolution,views,last-frame")
@@ -55,15 +58,26 @@ def draw_course(work: Path) -> None:
 
 
 def draw_planks(work: Path) -> None:
-    """Draw the picture of the README: a frame, the map and what stands on the floor."""
-    drive, out = work / "drive", work / "drive_map"
-    simulate = ("simulate", drive, "--floor", "planks", "--path", "lawnmower", "--length", 10)
-    slam(*simulate, "--lane", 0.45, "--boxes", 4)
+    """Draw the picture of the README: a frame, and the map with the robot's way on it."""
+    out = mapped(work / "drive", "--floor", "planks", *LAWNMOWER)
+    frame = work / "drive" / "frames" / "0030.jpg"
+    save("map.jpg", beside([read(frame), pose_graph(out, 1600)], height=340))
+
+
+def draw_obstacles(work: Path) -> None:
+    """Draw a map, and the boxes that stood on its floor."""
+    out = mapped(work / "boxes", "--floor", "terrazzo", "--size", "480x360", *LOOP, "--boxes", 5)
+    names = ("mosaic", "obstacles")
+    save("obstacles.jpg", beside([read(out / f"{name}.png") for name in names], height=420))
+
+
+def mapped(drive: Path, *options: object) -> Path:
+    """Return the folder of the map of a simulated drive."""
+    slam("simulate", drive, *options)
     slam("calibrate", drive / "square.png", "-o", drive / "calibration.yaml")
+    out = drive.with_name(f"{drive.name}_map")
     slam("stitch", drive, "-o", out)
-    save("map.jpg", beside([read(drive / "frames" / "0030.jpg"), pose_graph(out, 1600)], 340))
-    names = [name for name in ("mosaic.png", "obstacles.png") if (out / name).exists()]
-    save("obstacles.jpg", beside([read(out / name) for name in names], height=300))
+    return out
 
 
 def slam(*arguments: object) -> None:
@@ -74,7 +88,7 @@ def slam(*arguments: object) -> None:
 def pose_graph(folder: Path, width: int) -> np.ndarray:
     """Return a map with its links drawn on it: steps green, loop closures red."""
     picture = read(folder / "mosaic.png")
-    # A world file: metres a pixel along columns, two turns, along rows, and the first pixel's place.
+    # A world file: metres a pixel, two turns, minus metres a pixel, and the first pixel's place.
     scale, _, _, _, left, top = map(float, (folder / "mosaic.pgw").read_text().split())
     with (folder / "poses.csv").open(newline="") as stream:
         poses = {row["index"]: row for row in csv.DictReader(stream) if row["x"]}
@@ -89,7 +103,9 @@ def pose_graph(folder: Path, width: int) -> np.ndarray:
             for row in csv.DictReader(stream):
                 colour = LINK_COLOURS.get(row["kind"])
                 if colour and row["a"] in pixels and row["b"] in pixels:
-                    cv2.line(picture, pixels[row["a"]], pixels[row["b"]], colour, thick, cv2.LINE_AA)
+                    cv2.line(
+                        picture, pixels[row["a"]], pixels[row["b"]], colour, thick, cv2.LINE_AA
+                    )
     way = np.array([pixels[index] for index in poses], np.int32)
     if not links.exists():
         cv2.polylines(picture, [way], isClosed=False, color=LINK_COLOURS["loop"], thickness=thick)
@@ -100,7 +116,7 @@ def pose_graph(folder: Path, width: int) -> np.ndarray:
 
 
 def read(path: Path, width: int | None = None) -> np.ndarray:
-    """Return a picture as (H, W, 3) BGR: on white where transparent, counts and lengths coloured."""
+    """Return a picture as BGR: on white where transparent; counts and lengths in colours."""
     picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     assert picture is not None, path
     if picture.dtype != np.uint8:

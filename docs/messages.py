@@ -53,9 +53,11 @@ def documented() -> set[str]:
 
 def _of_errors(tree: ast.AST) -> Iterator[str]:
     for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-            if node.func.id in ERRORS and node.args:
-                yield from filter(None, [_text(node.args[0])])
+        if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.args):
+            continue
+        text = _text(node.args[0])
+        if node.func.id in ERRORS and text:
+            yield text
 
 
 def _sentences(node: ast.AST) -> Iterator[str]:

@@ -1,6 +1,6 @@
 """Find single pictures in a finished map (relocalisation), without any idea where they are.
 
-    python examples/localise_in_a_map.py out/map.slam later/*.jpg
+python examples/localise_in_a_map.py out/map.slam later/*.jpg
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Localise a camera live: one frame in, one pose out, the way a robot would use it.
 
-    python examples/stream_from_camera.py 0 calibration.yaml              # the first camera
-    python examples/stream_from_camera.py drive.mp4 calibration.yaml      # a video
-    python examples/stream_from_camera.py ./frames calibration.yaml       # a folder of pictures
+python examples/stream_from_camera.py 0 calibration.yaml              # the first camera
+python examples/stream_from_camera.py drive.mp4 calibration.yaml      # a video
+python examples/stream_from_camera.py ./frames calibration.yaml       # a folder of pictures
 """
 
 from __future__ import annotations

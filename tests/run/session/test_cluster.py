@@ -6,7 +6,6 @@ import os
 import signal
 from pathlib import Path
 
-import distributed
 import pytest
 from click.testing import CliRunner
 
@@ -16,6 +15,8 @@ from slamcli.core.errors import InputError
 from slamcli.run.session.executor import ordered
 from slamcli.run.stitch import stitch
 from slamcli.run.stitch.options import StitchOptions
+
+distributed = pytest.importorskip("distributed")
 
 FRAMES = 6
 
