@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 import click
@@ -28,10 +29,10 @@ def options() -> str:
         context = click.Context(command, parent=group, info_name=name)
         records = [p.get_help_record(context) for p in command.get_params(context)]
         rows = [f"| `{names}` | {_cell(text)} |" for names, text in filter(None, records)]
-        sections.append(
-            f"## slam {name}\n\n`{command.get_usage(context).removeprefix('Usage: ')}`\n\n"
-            f"{command.help}\n\n| option | meaning |\n|---|---|\n" + "\n".join(rows)
-        )
+        usage = command.get_usage(context).removeprefix("Usage: ")
+        table = "| option | meaning |\n|---|---|\n" + "\n".join(rows)
+        help_text = inspect.cleandoc(command.help or "")
+        sections.append(f"## slam {name}\n\n`{usage}`\n\n{help_text}\n\n{table}")
     return "\n\n".join(sections)
 
 
