@@ -17,7 +17,14 @@ PACKAGE = ROOT / "slamcli"
 PAGE = ROOT / "docs" / "troubleshooting.md"
 VALUE = "…"
 # The text of these is a line that the user sees.
-ERRORS = {"FrameError", "InputError", "CalibrationError", "MapError", "OutputError"}
+ERRORS = {
+    "CalibrationError",
+    "FieldError",
+    "FrameError",
+    "InputError",
+    "MapError",
+    "OutputError",
+}
 # Where a frame, a motion or a camera is accepted or rejected: a sentence there is a reason.
 DECIDING = (
     "io/frames.py",
@@ -53,11 +60,11 @@ def documented() -> set[str]:
 
 def _of_errors(tree: ast.AST) -> Iterator[str]:
     for node in ast.walk(tree):
-        if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.args):
-            continue
-        text = _text(node.args[0])
-        if node.func.id in ERRORS and text:
-            yield text
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.args:
+            # A FieldError takes the name of the field, and the rest of the sentence.
+            text = _text(node.args[-1])
+            if node.func.id in ERRORS and text:
+                yield f"{VALUE} {text}" if node.func.id == "FieldError" else text
 
 
 def _sentences(node: ast.AST) -> Iterator[str]:
