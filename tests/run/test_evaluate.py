@@ -142,6 +142,7 @@ def test_evo_measures_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setenv("HOME", str(tmp_path))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
+        pytest.importorskip("evo")
         from evo.core import metrics, sync
         from evo.tools import file_interface
 

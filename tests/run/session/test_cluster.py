@@ -6,7 +6,6 @@ import os
 import signal
 from pathlib import Path
 
-import distributed
 import pytest
 from command_line import slam
 
@@ -15,6 +14,8 @@ from slamcli.core.errors import InputError
 from slamcli.run.session.session import Session
 from slamcli.run.stitch import stitch
 from slamcli.run.stitch.options import StitchOptions
+
+distributed = pytest.importorskip("distributed")
 
 FRAMES = 6
 

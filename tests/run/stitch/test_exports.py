@@ -26,6 +26,7 @@ def test_evo_reads_the_trajectories(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     write_kitti(tmp_path / "a.kitti", POSES)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
+        pytest.importorskip("evo")
         from evo.tools import file_interface
 
         tum = file_interface.read_tum_trajectory_file(str(tmp_path / "a.tum"))
