@@ -64,10 +64,10 @@ def evened(drive: Drive, frames: list[Frame]) -> Exposure:
     step = exposure.comparison_step(drive.calibration)
     observed = []
     for frame, shot in zip(frames, drive.shots, strict=True):
-        small = exposure.reduced(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY))
+        small = exposure.thumbnail(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY))
         pose = shot.map_from_robot
         observed.append(exposure.observe(small, drive.calibration, hull, pose, step))
-    return exposure.solve(observed)
+    return exposure.estimate_exposure(observed)
 
 
 def paint(

@@ -142,7 +142,7 @@ def measure(calibration: Calibration, files: list[FrameFile], scale: float) -> l
     grid = resampler.grid
     view_from_image = grid.pixel_from_metres @ calibration.robot_from_image
     grays = [view.to_gray(frame.image) for frame in frames]
-    glimpse = median_milliseconds(lambda i: exposure.reduced(grays[i]), count)
+    glimpse = median_milliseconds(lambda i: exposure.thumbnail(grays[i]), count)
     views = [view.make_view(frame, resampler, gray=True) for frame in frames]
     warp = median_milliseconds(lambda i: view.make_view(frames[i], resampler, gray=True), count)
     size = (grid.width, grid.height)

@@ -10,7 +10,7 @@ from pathlib import Path
 from threading import Lock
 
 from slamcli.core.errors import InputError
-from slamcli.stages.mosaic.sampling import SourceImage
+from slamcli.stages.mosaic.source_image import SourceImage
 
 _MIN_PICTURES = 4
 # Linux tells of a process's pages here; the second number is of those in memory.

@@ -26,9 +26,9 @@ from slamcli.run.paint.thumbnails import Thumbnails, read_glimpse
 from slamcli.run.session.executor import Progress, ordered
 from slamcli.run.session.interruption import Interruption
 from slamcli.stages.mosaic import exposure, tiles
-from slamcli.stages.mosaic.exposure import Exposure, Shared
+from slamcli.stages.mosaic.exposure import Exposure, FloorBrightness
 from slamcli.stages.mosaic.painter import Painter
-from slamcli.stages.mosaic.sampling import SourceImage
+from slamcli.stages.mosaic.source_image import SourceImage
 from slamcli.stages.mosaic.tiles import TileKey
 
 # Arrays of a tile that is being painted, at their most: its pixels, and the cells of each view.
@@ -241,19 +241,19 @@ def _light(scene: Scene, workers: int, progress: Progress, scheduler: str) -> Ex
     for done, one in enumerate(ordered(work, jobs, workers, scheduler), start=1):
         observations.append(one)
         progress("comparing light", done, len(scene.files))
-    return exposure.solve(observations)
+    return exposure.estimate_exposure(observations)
 
 
 def _observe(
     hull: Float64Array,
     step: float,
     job: tuple[FrameFile, PosedFrame, UInt8Array | None],
-) -> Shared:
+) -> FloorBrightness:
     file, shot, gray = job
     try:
         gray = read_glimpse(file) if gray is None else gray
     except FrameError:
-        return exposure.nothing_shared()
+        return exposure.no_brightness()
     return exposure.observe(gray, shot.calibration, hull, shot.map_from_robot, step)
 
 

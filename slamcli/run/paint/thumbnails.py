@@ -45,7 +45,7 @@ class Thumbnails:
 
 def glimpse(frame: Frame) -> UInt8Array:
     """Return a frame as `exposure.observe` takes it."""
-    return exposure.reduced(view.to_gray(frame.image))
+    return exposure.thumbnail(view.to_gray(frame.image))
 
 
 def read_glimpse(file: FrameFile) -> UInt8Array:
