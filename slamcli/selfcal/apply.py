@@ -55,7 +55,13 @@ def apply_adjustment(
         kept = tuple(by_index[estimate.index] for estimate in floor_map.estimates)
         links = tuple(_scaled(link, scale) for link in floor_map.links)
         floor_map = replace(floor_map, calibration=calibration, estimates=kept, links=links)
-    return replace(drive, calibration=calibration, estimates=estimates, floor_map=floor_map)
+    return replace(
+        drive,
+        calibration=calibration,
+        estimates=estimates,
+        links=[_scaled(link, scale) for link in drive.links],
+        floor_map=floor_map,
+    )
 
 
 def _scaled(link: Link, scale: float) -> Link:

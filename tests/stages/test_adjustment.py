@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from matched_drives import drive, observe
 from numpy.typing import NDArray
 from trajectories import compare, read_poses
 
@@ -54,40 +55,6 @@ def errors(found: Calibration, true: Calibration) -> NDArray[np.float64]:
             *(found.camera_matrix[:2, 2] - true.camera_matrix[:2, 2]) / true.camera_matrix[0, 0],
         ]
     )
-
-
-def drive(turning: bool, count: int = 12) -> dict[int, Pose2]:
-    step = Pose2(0.1, 0.0, math.radians(20.0) if turning else 0.0)
-    poses = {0: Pose2()}
-    for index in range(1, count):
-        poses[index] = poses[index - 1] @ step
-    return poses
-
-
-def observe(
-    calibration: Calibration,
-    poses: dict[int, Pose2],
-    rockings: dict[int, Rocking],
-    noise_pixels: float,
-) -> list[adjustment.Matches]:
-    """Return the matches of frames at most two apart, every tenth an outlier."""
-    generator = np.random.default_rng(5)
-    width, height = calibration.image_size
-    frame_poses = {
-        i: adjustment.FramePose(pose, rockings.get(i, Rocking())) for i, pose in poses.items()
-    }
-    matches = []
-    for a, b in [(a, a + apart) for a in poses for apart in (1, 2) if a + apart in poses]:
-        pixels_a = generator.uniform([0, height * 0.2], [width, height], (150, 2))
-        pixels_b = adjustment.transfer(calibration, frame_poses[a], frame_poses[b], pixels_a)
-        seen = np.isfinite(pixels_b).all(axis=1)
-        seen &= np.all((pixels_b > 0) & (pixels_b < calibration.image_size), axis=1)
-        pixels_a, pixels_b = pixels_a[seen], pixels_b[seen]
-        pixels_b = pixels_b + generator.normal(0.0, noise_pixels, pixels_b.shape)
-        pixels_b[::10] += generator.uniform(-15.0, 15.0, pixels_b[::10].shape)
-        whitening = np.tile(np.eye(2) / noise_pixels, (len(pixels_a), 1, 1))
-        matches.append(adjustment.Matches(a, b, pixels_a, pixels_b, whitening))
-    return matches
 
 
 def adjusted(
