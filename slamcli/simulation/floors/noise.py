@@ -1,4 +1,4 @@
-"""Noise that depends on the seed and its place alone, so that blocks of it meet without a seam."""
+"""Noise that depends on the seed and its position alone, so that blocks meet without a seam."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 from slamcli.core.arrays import Float32Array, UInt8Array
 from slamcli.core.geometry import Grid
 
-# White noise is drawn in pieces of this side: few more pixels than a block and its margin need.
+# White noise is drawn in pieces of this side, to draw few more pixels than a block needs.
 _NOISE_PIXELS = 128
 
 
 def white_noise(grid: Grid, seed: int, margin: int = 0) -> Float32Array:
-    """Return standard normal pixels, `margin` wider all round, that depend on their place alone."""
+    """Return standard normal pixels, `margin` wider all round, that depend on position alone."""
     left = round(grid.x_min / grid.metres_per_pixel) - margin
     top = round(-grid.y_max / grid.metres_per_pixel) - margin
     height, width = grid.height + 2 * margin, grid.width + 2 * margin

@@ -207,7 +207,7 @@ def estimate_exposure(observations: Sequence[FloorBrightness]) -> Exposure:
 def _make_problem(observations: Sequence[FloorBrightness]) -> _Problem:
     frames = len(observations)
     counts = [len(one.logarithm) for one in observations]
-    # One number per point: to tell pairs of numbers apart takes several times the memory.
+    # One number per point: unique pairs of numbers take several times the memory.
     keys = np.concatenate([_keys(one.points) for one in observations])
     some = _some_of_each(keys, _MAX_SAMPLES_A_POINT)
     frame = np.repeat(np.arange(frames), counts)[some]
@@ -218,8 +218,8 @@ def _make_problem(observations: Sequence[FloorBrightness]) -> _Problem:
     rows = np.arange(len(frame))
     second, fourth = np.full(len(frame), frames), np.full(len(frame), frames + 1)
     values = np.concatenate([np.ones(len(frame)), radius, radius**2])
-    places = np.concatenate([rows, rows, rows]), np.concatenate([frame, second, fourth])
-    design = sparse.csr_array((values, places), shape=(len(frame), frames + 2))
+    entries = np.concatenate([rows, rows, rows]), np.concatenate([frame, second, fourth])
+    design = sparse.csr_array((values, entries), shape=(len(frame), frames + 2))
     floor = sparse.csr_array((np.ones(len(frame)), (rows, point)))
     return _Problem(frames, design, floor, point, logarithm, weight)
 

@@ -20,7 +20,7 @@ from slamcli.core.arrays import (
 )
 from slamcli.stages.mosaic.channels import largest_channel
 
-# All thresholds here: [guarded by benchmarks/blends.py --things, tests/stages/test_mosaic.py].
+# All thresholds here: [guarded by benchmarks/blends.py --obstacles, tests/stages/test_mosaic.py].
 # Views of one floor may differ by this much, and by this share of the brightness: noise, lamps.
 _TOLERANCE_GRAY = 12.0
 _TOLERANCE_SHARE = 0.08
