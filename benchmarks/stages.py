@@ -290,8 +290,9 @@ def main() -> None:
             wall, used = whole(drive, drive / "camera.yaml", arguments.whole, scale, work)
             least = 1e-3 * kernels * arguments.whole / default_workers()
             print(
-                f"{arguments.whole} frames: wall {wall:.1f} s, {wall / least:.2f} times the kernels "
-                f"on {default_workers()} processors; processor {used:.1f} s, {used / wall:.0%} of one"
+                f"{arguments.whole} frames: wall {wall:.1f} s, {wall / least:.2f} times the kernels"
+                f" on {default_workers()} processors; processor {used:.1f} s, {used / wall:.0%} "
+                "of one"
             )
 
 

@@ -74,8 +74,8 @@ def _overlaid(first: UInt8Array, second: UInt8Array, second_from_first: Float64A
     size = (second.shape[1], second.shape[0])
     warped = cv2.warpPerspective(first, second_from_first, size, flags=cv2.INTER_AREA)
     everywhere = np.full(first.shape[:2], 255, np.uint8)
-    covered = np.asarray(cv2.warpPerspective(everywhere, second_from_first, size)) == 255
-    blend = np.asarray(cv2.addWeighted(second, 0.5, warped, 0.5, 0.0))
+    covered = cv2.warpPerspective(everywhere, second_from_first, size) == 255
+    blend = cv2.addWeighted(second, 0.5, warped, 0.5, 0.0)
     canvas = np.where(covered[..., None], blend, second)
     right, bottom = first.shape[1] - 1, first.shape[0] - 1
     corners = np.array([[0, 0], [right, 0], [right, bottom], [0, bottom]], np.float64)
@@ -94,7 +94,7 @@ def _overlaid(first: UInt8Array, second: UInt8Array, second_from_first: Float64A
             lineType=cv2.LINE_AA,
             shift=_SHIFT,
         )
-    return np.asarray(canvas, np.uint8)
+    return canvas
 
 
 def _scale(panels: Sequence[UInt8Array]) -> float:

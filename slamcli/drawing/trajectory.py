@@ -81,7 +81,7 @@ def _paled(image: UInt8Array, mask: UInt8Array, grid: Grid, view_grid: Grid) -> 
     size = (max(1, round(grid.width * factor)), max(1, round(grid.height * factor)))
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
     small = cv2.resize(visible, size, interpolation=method)
-    pale = np.asarray(cv2.addWeighted(small, 0.6, np.full_like(small, _BACKGROUND_GRAY), 0.4, 0.0))
+    pale = cv2.addWeighted(small, 0.6, np.full_like(small, _BACKGROUND_GRAY), 0.4, 0.0)
     canvas = np.full((view_grid.height, view_grid.width, 3), _BACKGROUND_GRAY, np.uint8)
     row = round((view_grid.y_max - grid.y_max) / view_grid.metres_per_pixel)
     column = round((grid.x_min - view_grid.x_min) / view_grid.metres_per_pixel)

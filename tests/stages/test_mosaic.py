@@ -16,7 +16,15 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import Blend, PaintOptions
 from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.core.records import Frame, PosedFrame, Tile
-from slamcli.stages.mosaic import blend, exposure, obstacles, source_image, tiles, view_consistency
+from slamcli.stages.mosaic import (
+    blend,
+    compensation,
+    exposure,
+    obstacles,
+    source_image,
+    tiles,
+    view_consistency,
+)
 from slamcli.stages.mosaic.exposure import Exposure
 from slamcli.stages.mosaic.painter import Painter
 from slamcli.stages.mosaic.sampling import sample_image
@@ -153,7 +161,7 @@ def test_exposure_is_compared_wherever_the_map_begins() -> None:
 
 def test_vignetting_is_found_and_compensated() -> None:
     calibration = forward_camera()
-    falls = exposure.brightening_image(calibration.image_size, (-0.25, 0.0))
+    falls = compensation.brightening_image(calibration.image_size, (-0.25, 0.0))
     assert falls is not None
     frames = [
         replace(frame, image=np.rint(frame.image * falls[..., None]).astype(np.uint8))
@@ -164,8 +172,8 @@ def test_vignetting_is_found_and_compensated() -> None:
     found = light.vignetting[0] * radius + light.vignetting[1] * radius**2
     np.testing.assert_allclose(found, 0.25 * radius, atol=0.02)
     np.testing.assert_allclose(light.gains, 1.0, atol=0.02)
-    evened = exposure.correct(
-        frames[0].image, 1.0, exposure.brightening_image((640, 480), (0.25, 0))
+    evened = compensation.correct(
+        frames[0].image, 1.0, compensation.brightening_image((640, 480), (0.25, 0))
     )
     assert np.abs(evened.astype(int) - pictures()[0].image).max() <= 2
 

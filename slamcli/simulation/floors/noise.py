@@ -50,7 +50,7 @@ def smooth_noise(grid: Grid, seed: int, sigma_metres: float, stretch: float = 1.
     noise = white_noise(small, seed, margin)
     sigma_y = max(sigma / coarse, 0.4)
     sigma_x = sigma_y * stretch
-    blurred = np.asarray(cv2.GaussianBlur(noise, (0, 0), sigma_x, sigmaY=sigma_y))
+    blurred = cv2.GaussianBlur(noise, (0, 0), sigma_x, sigmaY=sigma_y)
     # White noise blurred by a Gaussian keeps 1 / (4 pi sigma_x sigma_y) of its variance.
     blurred = blurred * np.float32(np.sqrt(4 * np.pi * sigma_x * sigma_y))
     inner = blurred[margin:-margin, margin:-margin]

@@ -32,7 +32,7 @@ def line_cells(image: UInt8Array, mask: UInt8Array, metres_per_pixel: float) -> 
     By the white top-hat (Serra, Image Analysis and Mathematical Morphology, 1982) over the widest
     line, and Otsu's threshold, at least some contrast.
     """
-    gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     side = max(3, round(_MAX_LINE_METRES / metres_per_pixel) * 2 + 1)
     # Unseen is taken as bright, so that the border of what was seen is no line.
     filled = np.where(mask > 0, gray, np.uint8(255))

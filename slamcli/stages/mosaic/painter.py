@@ -47,7 +47,7 @@ class Painter:
     metres_per_pixel : float
         Of the map.
     options : PaintOptions
-    light : Exposure or None
+    exposure : Exposure or None
         From `exposure.estimate_exposure`; None paints images as they are.
 
     Attributes
@@ -61,7 +61,7 @@ class Painter:
         calibration: Calibration,
         metres_per_pixel: float,
         options: PaintOptions | None = None,
-        light: Exposure | None = None,
+        exposure: Exposure | None = None,
     ) -> None:
         self.calibration = calibration
         self.metres_per_pixel = metres_per_pixel
@@ -73,9 +73,9 @@ class Painter:
         self.halves = source_image.may_be_halved(calibration, metres_per_pixel)
         displaced = _DISPLACED_SHARE * calibration.max_range_metres / coarsest
         self._reach = min(_MAX_REACH_CELLS, max(1, round(displaced)))
-        self._light = light
+        self._exposure = exposure
         self._brightening = source_image.brightening(
-            calibration.image_size, light.vignetting if light else (0.0, 0.0)
+            calibration.image_size, exposure.vignetting if exposure else (0.0, 0.0)
         )
 
     @property
@@ -106,7 +106,7 @@ class Painter:
         number : int
             Index of its posed frame in the sequence.
         """
-        gain = float(self._light.gains[number]) if self._light else 1.0
+        gain = float(self._exposure.gains[number]) if self._exposure else 1.0
         halved = frame.image.shape[1] < self.calibration.image_size[0]
         return source_image.make_source_image(
             frame.image,

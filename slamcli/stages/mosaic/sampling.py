@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from slamcli.core.arrays import Float32Array, UInt8Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Grid, Pose2
-from slamcli.stages.mosaic import exposure
+from slamcli.stages.mosaic.compensation import correct
 from slamcli.stages.mosaic.raster_projection import RasterProjection, project_raster
 from slamcli.stages.mosaic.source_image import VIGNETTING_LEVEL, SourceImage
 
@@ -93,7 +93,7 @@ def _compensated(
     factor = None
     if source.brightening is not None:
         factor = _read(source.brightening, VIGNETTING_LEVEL, 0, view, window, smooth=False)
-    return exposure.correct(read, source.gain, factor)
+    return correct(read, source.gain, factor)
 
 
 def _read(

@@ -11,7 +11,7 @@ import numpy as np
 from slamcli.core.arrays import Float32Array, UInt8Array
 from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
-from slamcli.stages.mosaic import exposure
+from slamcli.stages.mosaic.compensation import brightening_image
 
 # Over this many pixels towards the border of the usable region the weight falls to 0, so that a
 # seam along the border is feathered [guarded by benchmarks/blends.py].
@@ -72,7 +72,7 @@ def brightening(
     image_size: tuple[int, int], vignetting: tuple[float, float]
 ) -> Float32Array | None:
     """Return what undoes a lens's vignetting, as a `SourceImage` has it; None for an even lens."""
-    return exposure.brightening_image(image_size, vignetting, 2**VIGNETTING_LEVEL)
+    return brightening_image(image_size, vignetting, 2**VIGNETTING_LEVEL)
 
 
 def make_source_image(

@@ -55,7 +55,7 @@ def reference(cells: UInt8Array, weights: Float32Array) -> tuple[UInt8Array, Int
     for first in range(count):
         for second in range(first + 1, count):
             channels = cv2.absdiff(cells[first], cells[second])
-            largest = largest_channel(np.asarray(channels, np.uint8))
+            largest = largest_channel(channels)
             distance = np.minimum(largest.astype(np.float32), greatest)
             cost[first] += distance * weights[second]
             cost[second] += distance * weights[first]
@@ -184,8 +184,8 @@ def _vote(undecided: BoolArray, for_floor: BoolArray, against: BoolArray) -> Flo
     around = np.ones((3, 3), np.uint8)
     votes = np.zeros(number)
     for cells, vote in ((for_floor, -1.0), (against, 1.0)):
-        touched = np.asarray(cv2.dilate(cells.astype(np.uint8), around)) > 0
-        votes += vote * np.bincount(np.asarray(labels)[touched & undecided], minlength=number)
+        touched = cv2.dilate(cells.astype(np.uint8), around) > 0
+        votes += vote * np.bincount(labels[touched & undecided], minlength=number)
     return np.where(undecided, np.sign(votes)[labels], 0.0)
 
 
@@ -206,7 +206,7 @@ def _decide_by_outline(
         left, top, width, height = (int(value) for value in boxes[label][:4])
         rows = slice(max(0, top - _OUTLINE_CELLS), top + height + _OUTLINE_CELLS)
         columns = slice(max(0, left - _OUTLINE_CELLS), left + width + _OUTLINE_CELLS)
-        part = np.asarray(labels)[rows, columns] == label
+        part = labels[rows, columns] == label
         steps = np.array(
             [
                 _step_at_outline(
@@ -239,7 +239,7 @@ def _step_at_outline(
     """
     beside = agreed & sees
     around = np.ones((2 * _OUTLINE_CELLS + 1, 2 * _OUTLINE_CELLS + 1), np.uint8)
-    near = np.asarray(cv2.dilate(beside.astype(np.uint8), around)) > 0
+    near = cv2.dilate(beside.astype(np.uint8), around) > 0
     compared = part & sees & near
     if np.count_nonzero(compared) < _MIN_OUTLINE_CELLS:
         return float("nan")
@@ -267,7 +267,7 @@ def _grown(
     """
     around = np.ones((3, 3), np.uint8)
     wide = cv2.morphologyEx((leaves | ~seen).astype(np.uint8), cv2.MORPH_OPEN, around)
-    solid = np.where(leaves, np.asarray(wide), np.uint8(0))
-    outline = np.asarray(cv2.dilate(solid, around, iterations=reach_cells + 1)) > 0
-    grown: BoolArray = (np.asarray(cv2.dilate(solid, around)) > 0) | (outline & other)
+    solid = np.where(leaves, wide, np.uint8(0))
+    outline = cv2.dilate(solid, around, iterations=reach_cells + 1) > 0
+    grown: BoolArray = (cv2.dilate(solid, around) > 0) | (outline & other)
     return grown & seen

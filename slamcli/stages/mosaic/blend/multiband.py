@@ -84,8 +84,7 @@ def _laplacian_pyramid(image: Float32Array) -> list[Float32Array]:
     """Return what each level has over the next, and the last level."""
     levels = _gaussian_pyramid(image)
     finer = [
-        fine - np.asarray(cv2.pyrUp(coarse, dstsize=fine.shape[1::-1]), np.float32)
-        for fine, coarse in pairwise(levels)
+        fine - cv2.pyrUp(coarse, dstsize=fine.shape[1::-1]) for fine, coarse in pairwise(levels)
     ]
     return [*finer, levels[-1]]
 
@@ -94,5 +93,5 @@ def _collapsed(bands: list[Float32Array]) -> Float32Array:
     """Return the image of a Laplacian pyramid."""
     image = bands[-1]
     for band in reversed(bands[:-1]):
-        image = band + np.asarray(cv2.pyrUp(image, dstsize=band.shape[1::-1]), np.float32)
+        image = band + cv2.pyrUp(image, dstsize=band.shape[1::-1])
     return image
