@@ -74,7 +74,7 @@ def obstacles_of(pair, tilt_degrees=0.1):
     )
     assert refined is not None
     warp = refined.view_a_from_view_b
-    return dense.obstacles(first.levels, second.levels, warp, CALIBRATION), warp
+    return dense.find_obstacles(first.levels, second.levels, warp, CALIBRATION), warp
 
 
 def near_obstacles(pair, warp, marks):
