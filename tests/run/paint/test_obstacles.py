@@ -139,8 +139,8 @@ def test_match_draws_obstacles(tmp_path):
     facts = json.loads(result.stdout)
     assert min(facts["obstacles"]["cells"]) >= 10
     assert facts["first_from_second"]["x"] == pytest.approx(MOTION.x, abs=0.004)
-    said = CliRunner().invoke(main, [*map(str, arguments), "--overwrite"])
-    assert "seems to stand on the floor" in said.stdout
+    result = CliRunner().invoke(main, [*map(str, arguments), "--overwrite"])
+    assert "seems to stand on the floor" in result.stdout
     shown = cv2.imread(str(drawing)).astype(int)
     # The matches' lines are red or green too; the tint alone is pale.
     tinted = (shown[..., 2] - shown[..., 1] > 60) & (shown[..., 1] - shown[..., 0] == 0)
