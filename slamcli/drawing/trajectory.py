@@ -74,7 +74,7 @@ def _grid_around(points: Float64Array) -> Grid:
 
 
 def _paled(image: UInt8Array, mask: UInt8Array, grid: Grid, view_grid: Grid) -> UInt8Array:
-    """Return the map at the drawing's scale, halfway to the background, so that lines are visible."""
+    """Return the map at the scale of the drawing, paled so that lines on it are visible."""
     visible = np.full_like(image, _BACKGROUND_GRAY)
     cv2.copyTo(image, mask, visible)
     factor = grid.metres_per_pixel / view_grid.metres_per_pixel
