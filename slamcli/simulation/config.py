@@ -34,7 +34,7 @@ class CameraOptions:
 
 @dataclass(frozen=True, slots=True)
 class DisturbanceOptions:
-    """Disturbances that make real images worse than ideal ones.
+    """What makes real pictures worse than ideal ones.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class DisturbanceOptions:
     bounce_metres : float
         Standard deviation of the camera's height from frame to frame.
     boxes : int
-        Box obstacles along the path; every third one moves.
+        Things that stand on the floor along the way; every third one moves.
     walkers : int
         Pairs of legs that cross the view at some time.
     """
@@ -68,7 +68,7 @@ class DisturbanceOptions:
 
 @dataclass(frozen=True, slots=True)
 class SensorOptions:
-    """Errors of the robot's other sensors.
+    """The robot's other senses, and how wrong they are.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class SensorOptions:
 
 @dataclass(frozen=True, slots=True)
 class SimulationOptions:
-    """Options of a simulation: floor, camera, drive, disturbances, sensors.
+    """A floor, a camera, a drive.
 
     Attributes
     ----------
@@ -109,10 +109,10 @@ class SimulationOptions:
     room_metres : float
         Side of a square room about the first frame, whose walls the camera sees; 0 is no room.
     path : str
-        ``line``, ``loop``, ``lawnmower``, ``drift`` (a loop with the heading free of the direction
-        of travel), or the file of a CSV with columns x, y, heading.
+        ``line``, ``loop``, ``lawnmower``, ``drift`` (a loop on which the robot turns as it likes),
+        or the file of a CSV with columns x, y, heading.
     length_metres : float
-        Of the path.
+        Of the way.
     frames : int
     frame_rate_hertz : float
     lane_metres : float
