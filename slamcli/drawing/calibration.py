@@ -1,4 +1,4 @@
-"""The check picture of a calibration: the photo with what is kept of it, beside the floor."""
+"""Drawing of a calibration: the photo with its usable region, beside the bird's-eye view."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def draw_calibration(
     birdseye: View,
     caption: Sequence[str],
 ) -> UInt8Array:
-    """Return the photo, what is dropped shaded, beside the bird's-eye view under a metric grid.
+    """Return the photo, unused pixels shaded, beside the bird's-eye view under a metric grid.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def draw_calibration(
 
 
 def _draw_photo(photo: UInt8Array, outline: Float64Array, calibration: Calibration) -> UInt8Array:
-    """Shade what is not used, and draw the target, the far limit and the horizon."""
+    """Return the photo, unused pixels shaded, with the target, the far limit and the horizon."""
     height, width = photo.shape[:2]
     factor = min(PANEL_HEIGHT_PIXELS / height, _MAX_PHOTO_WIDTH_PIXELS / width)
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
@@ -105,19 +105,19 @@ def _draw_photo(photo: UInt8Array, outline: Float64Array, calibration: Calibrati
     _polyline(canvas, outline * factor, _SQUARE, closed=True)
     for corner in outline * factor:
         _ring(canvas, corner)
-    _label(canvas, "kept", _label_place(kept))
+    _label(canvas, "kept", _label_position(kept))
     return canvas
 
 
 def _draw_floor(outline: Float64Array, calibration: Calibration, birdseye: View) -> UInt8Array:
-    """Turn the view so that the robot looks up the page, and lay the metric grid over it."""
+    """Return the view turned so that the robot faces up the page, under the metric grid."""
     grid = birdseye.grid
     lattice = np.meshgrid(np.arange(grid.width), np.arange(grid.height))
-    places = apply_homography(grid.metres_from_pixel, np.dstack(lattice))
-    kept = np.hypot(places[..., 0], places[..., 1]) <= calibration.max_range_metres
-    shown = _hazed(birdseye.image, ~kept)
-    shown[birdseye.mask == 0] = _UNSEEN_GRAY
-    floor = np.ascontiguousarray(np.rot90(shown))
+    metres = apply_homography(grid.metres_from_pixel, np.dstack(lattice))
+    kept = np.hypot(metres[..., 0], metres[..., 1]) <= calibration.max_range_metres
+    view = _hazed(birdseye.image, ~kept)
+    view[birdseye.mask == 0] = _UNSEEN_GRAY
+    floor = np.ascontiguousarray(np.rot90(view))
     canvas = np.full(
         (floor.shape[0] + _AXIS_PIXELS, floor.shape[1] + _AXIS_PIXELS, 3), _BACKGROUND, np.uint8
     )
@@ -172,7 +172,7 @@ def _horizon(calibration: Calibration) -> Float64Array:
         return np.empty((0, 2))
     columns = np.linspace(0.0, width - 1.0, 65)
     line = np.column_stack([columns, -(a * columns + c) / b])
-    # Far outside the picture a lens polynomial means nothing.
+    # Far outside the image a lens polynomial is not valid.
     near = (line[:, 1] > -0.5 * height) & (line[:, 1] < 1.5 * height)
     pixels = projection.distort_points(calibration, line[near])
     return pixels[(pixels[:, 1] >= 0) & (pixels[:, 1] < height)]
@@ -184,7 +184,7 @@ def _page_pixels(grid: Grid, points: Float64Array | Sequence[tuple[float, float]
     return np.column_stack([pixels[:, 1], grid.width - 1 - pixels[:, 0]])
 
 
-def _label_place(kept: BoolArray) -> tuple[int, int]:
+def _label_position(kept: BoolArray) -> tuple[int, int]:
     rows = np.flatnonzero(kept.any(axis=1))
     if not len(rows):
         return 8, 20
@@ -214,20 +214,20 @@ def _polyline(
     cv2.polylines(canvas, [fixed[:, None]], closed, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def _ring(canvas: UInt8Array, place: Float64Array) -> None:
-    column, row = (round(float(value) * 2**_SUBPIXEL_BITS) for value in place)
+def _ring(canvas: UInt8Array, pixel: Float64Array) -> None:
+    column, row = (round(float(value) * 2**_SUBPIXEL_BITS) for value in pixel)
     radius = 8 * 2**_SUBPIXEL_BITS
     cv2.circle(canvas, (column, row), radius, _SQUARE, 2, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def _label(canvas: UInt8Array, text: str, place: tuple[int, int]) -> None:
+def _label(canvas: UInt8Array, text: str, position: tuple[int, int]) -> None:
     """Write on a light tag, readable on any floor."""
     (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)
-    column, row = place
+    column, row = position
     corners = (column - 4, row - height - 4), (column + width + 4, row + below + 2)
     cv2.rectangle(canvas, *corners, _BACKGROUND, -1)
-    _write(canvas, text, place)
+    _write(canvas, text, position)
 
 
-def _write(canvas: UInt8Array, text: str, place: tuple[int, int]) -> None:
-    cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, _INK, 1, cv2.LINE_AA)
+def _write(canvas: UInt8Array, text: str, position: tuple[int, int]) -> None:
+    cv2.putText(canvas, text, position, cv2.FONT_HERSHEY_SIMPLEX, 0.55, _INK, 1, cv2.LINE_AA)

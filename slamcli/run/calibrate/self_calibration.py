@@ -22,7 +22,7 @@ from slamcli.io.toml import Scalar
 from slamcli.run.frame_loop import register
 from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.session.session import Session
-from slamcli.selfcal import RegisteredDrive, SelfCalibration, refine
+from slamcli.selfcal import RegisteredDrive, SelfCalibration, refine_calibration
 from slamcli.stages import calibrate as solving
 
 
@@ -64,7 +64,7 @@ def self_calibrate(
     """Refine camera and poses by the frames that have been registered."""
     origin = None if inputs.calibration_path is None else load_origin(inputs.calibration_path)
     here = session.on_this_machine()
-    return refine(
+    return refine_calibration(
         first,
         lambda index: read_frame(inputs.files[index]),
         partial(register, inputs.files, options, here),

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 from threading import Lock
 
-from slamcli.stages.mosaic.sampling import SourceImage
+from slamcli.stages.mosaic.source_image import SourceImage
 
 
 class FrameCache:

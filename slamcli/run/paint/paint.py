@@ -23,9 +23,9 @@ from slamcli.run.paint.scene import Scene
 from slamcli.run.paint.thumbnails import read_thumbnail
 from slamcli.run.session.session import Session
 from slamcli.stages.mosaic import exposure, tiles
-from slamcli.stages.mosaic.exposure import Exposure, Shared
+from slamcli.stages.mosaic.exposure import Exposure, FloorBrightness
 from slamcli.stages.mosaic.painter import Painter
-from slamcli.stages.mosaic.sampling import SourceImage
+from slamcli.stages.mosaic.source_image import SourceImage
 from slamcli.stages.mosaic.tiles import TileKey
 
 
@@ -141,19 +141,19 @@ def _exposure(scene: Scene, session: Session) -> Exposure:
     for done, one in enumerate(session.ordered(work, jobs), start=1):
         observations.append(one)
         session.progress("comparing light", done, len(scene.files))
-    return exposure.solve(observations)
+    return exposure.estimate_exposure(observations)
 
 
 def _observe(
     hull: Float64Array,
     step: float,
     job: tuple[FrameFile, PosedFrame, UInt8Array | None],
-) -> Shared:
+) -> FloorBrightness:
     file, shot, gray = job
     try:
         gray = read_thumbnail(file) if gray is None else gray
     except FrameError:
-        return exposure.nothing_shared()
+        return exposure.no_brightness()
     return exposure.observe(gray, shot.calibration, hull, shot.map_from_robot, step)
 
 

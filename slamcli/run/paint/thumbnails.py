@@ -45,7 +45,7 @@ class Thumbnails:
 
 def thumbnail(frame: Frame) -> UInt8Array:
     """Return a frame as `exposure.observe` takes it: gray, (h, w), reduced."""
-    return exposure.reduced(view.to_gray(frame.image))
+    return exposure.thumbnail(view.to_gray(frame.image))
 
 
 def read_thumbnail(file: FrameFile) -> UInt8Array:

@@ -21,7 +21,7 @@ from slamcli.io.frames import list_frames, read_frame
 from slamcli.io.raster import deepzoom, geotiff, world_file
 from slamcli.io.raster.tile_store import TileStore
 from slamcli.run.paint import budget, frame_cache, thumbnails
-from slamcli.stages.mosaic.sampling import SourceImage
+from slamcli.stages.mosaic.source_image import SourceImage
 
 rasterio = pytest.importorskip("rasterio")
 warp = pytest.importorskip("rasterio.warp")
