@@ -13,7 +13,8 @@ from scipy.special import chdtri
 
 from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.core.errors import InputError
-from slamcli.core.geometry import Pose2, compose_poses, relative_poses
+from slamcli.core.geometry import compose_poses, relative_poses
+from slamcli.core.robust import fit_rigid_2d
 from slamcli.core.trajectory import Accuracy, Consistency, Evaluation, Statistics, Trajectory
 
 _BOUND_95 = float(chdtri(3, 0.05))
@@ -87,19 +88,6 @@ def match_poses(
     return "order", rows, rows
 
 
-def align(points: Float64Array, true_points: Float64Array) -> Pose2:
-    """Return ``truth_from_map``, the rigid motion that brings (N, 2) points nearest to others.
-
-    Least squares without scale (Umeyama, PAMI 1991, eqs. 40-41; in the plane the rotation is the
-    angle of one complex sum).
-    """
-    centre, true_centre = points.mean(axis=0), true_points.mean(axis=0)
-    a, b = points - centre, true_points - true_centre
-    turn = math.atan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
-    moved = Pose2(0.0, 0.0, turn).apply(centre)
-    return Pose2(float(true_centre[0] - moved[0]), float(true_centre[1] - moved[1]), turn)
-
-
 class _Errors:
     """The errors of one fragment, each in an array; the absolute ones after alignment."""
 
@@ -113,7 +101,7 @@ class _Errors:
     ) -> None:
         self.fragment = fragment
         self.count = len(poses)
-        self.truth_from_map = align(poses[:, :2], true_poses[:, :2])
+        self.truth_from_map = fit_rigid_2d(true_poses[:, :2], poses[:, :2])
         pose = self.truth_from_map
         aligned = compose_poses((pose.x, pose.y, pose.theta), poses)
         self.places = np.linalg.norm(aligned[:, :2] - true_poses[:, :2], axis=1)

@@ -16,6 +16,7 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Frame, View
+from slamcli.core.robust import NORMAL_MEDIAN
 
 # A view of about a megapixel carries enough points, and warps and detects in milliseconds. Of a
 # picture that has many pixels to each of the view's, half as many serve as well: each is the mean
@@ -201,8 +202,8 @@ def noise_gray(image: UInt8Array) -> float:
     left = blocks[:, :, :-2] - 2 * blocks[:, :, 1:-1] + blocks[:, :, 2:]
     left = left[:, :-2] - 2 * left[:, 1:-1] + left[:, 2:]
     sizes = np.median(np.abs(left).reshape(len(left), -1), axis=1)
-    # The kernel's weights squared sum to 36; the median size of a normal deviate is 0.6745.
-    return float(np.quantile(sizes, _SMOOTHEST_SHARE)) / (6.0 * 0.6745)
+    # The kernel's weights squared sum to 36.
+    return float(np.quantile(sizes, _SMOOTHEST_SHARE)) / (6.0 * NORMAL_MEDIAN)
 
 
 def _blocks(image: UInt8Array) -> Int16Array:

@@ -10,16 +10,12 @@ import numpy as np
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera import projection
 from slamcli.core.geometry import Pose2
+from slamcli.core.robust import GEMAN_MCCLURE_SIGMAS, RAYLEIGH_MEDIAN, geman_mcclure_weights
 
 _MAX_ITERATIONS = 20
 _CONVERGED_SIGMAS = 1e-3
-# Geman and McClure's scale in sigmas: keeps 97 % of the efficiency of least squares on normal
-# errors, and all but ignores what is five sigmas off.
-_KERNEL_SIGMAS = 3.0
-# Two coordinates of a normal error: the median of its length in sigmas.
-_RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
-# The sigmas given are believed as much as this many residuals are: few points, or the same
-# picture twice, cannot make a motion look perfectly known.
+# The sigmas given count as much as this many residuals do: few points, or the same picture twice,
+# cannot make a motion look perfectly known [guarded by tests/stages/test_align.py].
 _PRIOR_RESIDUALS = 8.0
 
 
@@ -76,7 +72,7 @@ def fit_rigid(
         residual, jacobian = _whitened(points_a, points_b, covariance_a, covariance_b, pose)
         length = np.hypot(*residual)
         scale = _scale(length)
-        weights = _kernel(length / scale)
+        weights = geman_mcclure_weights((length / scale / GEMAN_MCCLURE_SIGMAS) ** 2)
         weighted = jacobian * weights
         information = _products(weighted, jacobian)
         try:
@@ -155,16 +151,10 @@ def _products(first: Float64Array, second: Float64Array) -> Float64Array:
     return np.asarray(first.reshape(3, -1) @ second.reshape(3, -1).T)
 
 
-def _kernel(length: Float64Array) -> Float64Array:
-    """Return Geman and McClure's weights of residual lengths in sigmas."""
-    weights: Float64Array = (1.0 + (length / _KERNEL_SIGMAS) ** 2) ** -2
-    return weights
-
-
 def _scale(length: Float64Array) -> float:
     """Return how many times larger residuals are than their sigmas said, by their median."""
     count = len(length)
-    measured = (float(np.median(length)) / _RAYLEIGH_MEDIAN) ** 2
+    measured = (float(np.median(length)) / RAYLEIGH_MEDIAN) ** 2
     # Three of the 2 M residuals' degrees of freedom went into the motion.
     measured *= 2.0 * count / max(2.0 * count - 3.0, 1.0)
     return math.sqrt((_PRIOR_RESIDUALS + count * measured) / (_PRIOR_RESIDUALS + count))
@@ -179,8 +169,8 @@ def _covariance_of_estimate(
     both expectations taken over its two coordinates.
     """
     information = _products(jacobian, jacobian) / scale**2
-    weights = _kernel(length)
-    squared = (length / _KERNEL_SIGMAS) ** 2
+    squared = (length / GEMAN_MCCLURE_SIGMAS) ** 2
+    weights = geman_mcclure_weights(squared)
     psi_squared = float(np.mean((weights * length) ** 2)) / 2.0
     slope = float(np.mean(weights - 2.0 * squared * (1.0 + squared) ** -3))
     count = len(length)

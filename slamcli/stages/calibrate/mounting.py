@@ -17,6 +17,7 @@ from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration, Intrinsics
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import Pose2, apply_homography, invert
+from slamcli.core.robust import fit_rigid_2d
 from slamcli.stages.calibrate.closed_form import (
     fit_homography,
     floor_axes,
@@ -237,12 +238,5 @@ def _start(points: FloorPoints, camera_matrix: Float64Array) -> Float64Array:
         raise CalibrationError("no camera above the floor sees the corners like this")
     image_from_robot = projection.image_from_robot_homography(camera_matrix, height, pitch, roll)
     floor = apply_homography(invert(image_from_robot), points.pixels)
-    # The least-squares rotation between two point sets (Umeyama, PAMI 1991), in the plane.
-    target_centred = points.target - points.target.mean(axis=0)
-    floor_centred = floor - floor.mean(axis=0)
-    cosine = float(np.sum(target_centred * floor_centred))
-    sine = float(np.sum(target_centred[:, 0] * floor_centred[:, 1]))
-    sine -= float(np.sum(target_centred[:, 1] * floor_centred[:, 0]))
-    yaw = math.atan2(sine, cosine)
-    middle = floor.mean(axis=0) - Pose2(0.0, 0.0, yaw).apply(points.target.mean(axis=0))
-    return np.array([0.0, math.log(height), pitch, roll, middle[0], middle[1], yaw])
+    placed = fit_rigid_2d(floor, points.target)
+    return np.array([0.0, math.log(height), pitch, roll, placed.x, placed.y, placed.theta])

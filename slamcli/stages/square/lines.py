@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
+from slamcli.core.robust import SIGMA_PER_MAD
 from slamcli.stages.square.candidates import line_through
 
 _TUKEY = 4.685
@@ -106,7 +107,7 @@ def fit_side_robustly(
     for _ in range(_REWEIGHTINGS):
         centre, direction = _fit_line(points, weights)
         distance = (points - centre) @ np.array([direction[1], -direction[0]])
-        scale = max(1.4826 * float(np.median(np.abs(distance))), _MIN_SCALE_PIXELS)
+        scale = max(SIGMA_PER_MAD * float(np.median(np.abs(distance))), _MIN_SCALE_PIXELS)
         weights = np.clip(1.0 - (distance / (_TUKEY * scale)) ** 2, 0.0, None) ** 2
     return fit_side(points, weights, total, contrast, width_pixels)
 
