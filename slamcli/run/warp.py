@@ -7,8 +7,8 @@ from functools import partial
 from glob import escape
 from pathlib import Path
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import default_metres_per_pixel
 from slamcli.core.errors import FrameError, InputError
 from slamcli.io.files import output_folder
 from slamcli.io.frames import FrameFile, read_frame
@@ -41,7 +41,7 @@ def warp(
     names = [Path(file.name).stem for file in inputs.files]
     if len(set(names)) < len(names):
         raise InputError("two frames have the same name; warp their folders one at a time")
-    scale = metres_per_pixel or projection.default_metres_per_pixel(inputs.calibration)
+    scale = metres_per_pixel or default_metres_per_pixel(inputs.calibration)
     resampler = view.make_view_resampler(inputs.calibration, scale)
     grid = resampler.grid
     products = tuple(f"{escape(name)}{suffix}" for name in names for suffix in (".png", ".pgw"))

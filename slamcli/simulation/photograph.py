@@ -13,8 +13,15 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import choose_max_range, seen_floor
+from slamcli.core.camera.lens import distort_points, image_centre, undistorted_coordinates
+from slamcli.core.camera.mounting import (
+    compose_robot_from_image,
+    image_from_robot_homography,
+    robot_from_camera_rotation,
+)
+from slamcli.core.camera.resolution import floor_sampling
 from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.simulation.config import CameraOptions, DisturbanceOptions
 from slamcli.simulation.floors import Floor
@@ -104,30 +111,26 @@ class World:
 def make_camera(options: CameraOptions) -> Calibration:
     """Return the true calibration of a simulated camera."""
     focal = options.size[0] / 2 / math.tan(math.radians(options.field_of_view_degrees) / 2)
-    centre_x, centre_y = projection.image_centre(options.size)
+    centre_x, centre_y = image_centre(options.size)
     matrix = np.array([[focal, 0.0, centre_x], [0.0, focal, centre_y], [0.0, 0.0, 1.0]])
     pitch, roll = math.radians(options.pitch_degrees), math.radians(options.roll_degrees)
-    image_from_robot = projection.image_from_robot_homography(
-        matrix, options.height_metres, pitch, roll
-    )
+    image_from_robot = image_from_robot_homography(matrix, options.height_metres, pitch, roll)
     return Calibration(
         camera_matrix=matrix,
         distortion=np.array([options.k1, options.k2, 0.0, 0.0, 0.0]),
         distortion_model="plumb_bob",
         image_size=options.size,
-        robot_from_image=projection.compose_robot_from_image(
-            matrix, options.height_metres, pitch, roll
-        ),
+        robot_from_image=compose_robot_from_image(matrix, options.height_metres, pitch, roll),
         height_metres=options.height_metres,
         pitch_radians=pitch,
         roll_radians=roll,
-        max_range_metres=projection.choose_max_range(matrix, image_from_robot, options.size),
+        max_range_metres=choose_max_range(matrix, image_from_robot, options.size),
     )
 
 
 def texture_metres_per_pixel(calibration: Calibration) -> float:
     """Return how fine a floor is made: enough for the near edge, no finer than the camera's eye."""
-    nearest = projection.floor_sampling(calibration, projection.seen_floor(calibration))[:, 1].min()
+    nearest = floor_sampling(calibration, seen_floor(calibration))[:, 1].min()
     finest = _FINEST_METRES_PER_PIXEL
     fitting = float(finest * 2.0 ** round(math.log2(float(nearest) / finest)))
     return min(max(fitting, finest), _COARSEST_METRES_PER_PIXEL)
@@ -142,9 +145,7 @@ def tilted(
     roll = calibration.roll_radians + roll_radians
     return replace(
         calibration,
-        robot_from_image=projection.compose_robot_from_image(
-            calibration.camera_matrix, height, pitch, roll
-        ),
+        robot_from_image=compose_robot_from_image(calibration.camera_matrix, height, pitch, roll),
         height_metres=height,
         pitch_radians=pitch,
         roll_radians=roll,
@@ -173,9 +174,7 @@ class Photographer:
         rows = _along(pixels[1], down.metres_from_pixel[1], down.height, axis=1)
         grid_columns, grid_rows = np.meshgrid(columns, rows)
         if np.any(calibration.distortion):
-            grid_columns, grid_rows = projection.undistorted_coordinates(
-                calibration, grid_columns, grid_rows
-            )
+            grid_columns, grid_rows = undistorted_coordinates(calibration, grid_columns, grid_rows)
         self._columns, self._rows = grid_columns, grid_rows
 
     def expose(
@@ -311,7 +310,7 @@ def take(
 def _vignette(calibration: Calibration, share: float) -> Float32Array:
     """Return (H, W, 1): the brightness lost towards the corners, by the square of the radius."""
     width, height = calibration.image_size
-    centre_x, centre_y = projection.image_centre(calibration.image_size)
+    centre_x, centre_y = image_centre(calibration.image_size)
     x, y = np.meshgrid(np.arange(width) - centre_x, np.arange(height) - centre_y)
     radius_squared = (x * x + y * y) / (centre_x**2 + centre_y**2)
     return np.asarray(1.0 - share * radius_squared, np.float32)[..., None]
@@ -388,16 +387,14 @@ def _box_faces(
 
 def _project(points: Float64Array, calibration: Calibration) -> Float64Array | None:
     """Project (N, 3) robot points, metres, to pixels; None when one is not well ahead."""
-    rotation = projection.robot_from_camera_rotation(
-        calibration.pitch_radians, calibration.roll_radians
-    )
+    rotation = robot_from_camera_rotation(calibration.pitch_radians, calibration.roll_radians)
     rays = (points - (0.0, 0.0, calibration.height_metres)) @ rotation
     if rays[:, 2].min() < 0.05:
         return None
     undistorted = apply_homography(calibration.camera_matrix, rays[:, :2] / rays[:, 2:])
     # Far outside the picture the lens polynomial folds back into it.
     reach = 0.9 if np.any(calibration.distortion) else 4.0
-    centre = np.array(projection.image_centre(calibration.image_size))
+    centre = np.array(image_centre(calibration.image_size))
     if np.abs(undistorted - centre).max() > reach * max(calibration.image_size):
         return None
-    return projection.distort_points(calibration, undistorted)
+    return distort_points(calibration, undistorted)

@@ -11,8 +11,11 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from slamcli.core.arrays import BoolArray, Float32Array, Int16Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import default_metres_per_pixel, footprint, footprint_hull
+from slamcli.core.camera.projection import SamplingMap
+from slamcli.core.camera.projection import sampling_map
+from slamcli.core.camera.resolution import resolution_image
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Frame, View
@@ -72,8 +75,8 @@ class Band:
 
 def registration_metres_per_pixel(calibration: Calibration) -> float:
     """Return the resolution of the views that are matched: the default, coarser if that is vast."""
-    finest = projection.default_metres_per_pixel(calibration)
-    grid = projection.footprint(calibration, finest)
+    finest = default_metres_per_pixel(calibration)
+    grid = footprint(calibration, finest)
     many = math.prod(calibration.image_size) >= _MANY_TO_ONE * _FEWER_PIXELS
     most = _FEWER_PIXELS if many else _REGISTRATION_PIXELS
     shrink = math.sqrt(grid.width * grid.height / most)
@@ -94,9 +97,9 @@ def make_resampler(
     Parameters
     ----------
     pixels_per_metre : (H, W) float32
-        From `projection.resolution_image`, or weights of the same zeros.
+        From `resolution_image`, or weights of the same zeros.
     """
-    mapping = projection.sampling_map(calibration, pixels_per_metre, grid, robot_from_grid)
+    mapping = sampling_map(calibration, pixels_per_metre, grid, robot_from_grid)
     seen = mapping.pixels_per_metre > 0
     coarser = float(mapping.pixels_per_metre.max(initial=0.0)) * grid.metres_per_pixel
     deepest = min(_MAX_LEVEL, int(math.log2(max(coarser, 1.0))))
@@ -118,7 +121,7 @@ def make_resampler(
 
 
 def _maps(
-    mapping: projection.SamplingMap,
+    mapping: SamplingMap,
     part: tuple[slice, slice],
     inside: BoolArray,
     image_size: tuple[int, int],
@@ -139,8 +142,8 @@ def _maps(
 
 def make_view_resampler(calibration: Calibration, metres_per_pixel: float) -> Resampler:
     """Prepare the camera's own bird's-eye view, in the robot frame."""
-    grid = projection.footprint(calibration, metres_per_pixel)
-    return make_resampler(calibration, projection.resolution_image(calibration), grid, Pose2())
+    grid = footprint(calibration, metres_per_pixel)
+    return make_resampler(calibration, resolution_image(calibration), grid, Pose2())
 
 
 def make_far_resampler(calibration: Calibration, metres_per_pixel: float) -> Resampler | None:
@@ -149,8 +152,8 @@ def make_far_resampler(calibration: Calibration, metres_per_pixel: float) -> Res
     None where the camera sees little more floor there.
     """
     far = replace(calibration, max_range_metres=_FAR_TIMES * calibration.max_range_metres)
-    near_area = ConvexHull(projection.footprint_hull(calibration)).volume
-    if ConvexHull(projection.footprint_hull(far)).volume < _MIN_FAR_GAIN * near_area:
+    near_area = ConvexHull(footprint_hull(calibration)).volume
+    if ConvexHull(footprint_hull(far)).volume < _MIN_FAR_GAIN * near_area:
         return None
     return make_view_resampler(far, _FAR_COARSER * metres_per_pixel)
 

@@ -13,8 +13,9 @@ from click.testing import CliRunner
 from square_photos import SIDE_METRES, Photo, random_photo, render, rotation
 
 from slamcli.cli.main import main
-from slamcli.core.camera import projection
-from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.calibration import Calibration, top_down_calibration
+from slamcli.core.camera.lens import distort_points, undistort_points
+from slamcli.core.camera.resolution import floor_sampling
 from slamcli.core.errors import CalibrationError, InputError, OutputError
 from slamcli.core.geometry import apply_homography
 from slamcli.io.calibrations import load_calibration, save_calibration
@@ -31,11 +32,9 @@ def floor_distance_errors(photo: Photo, calibration: Calibration) -> np.ndarray:
     floor = lattice @ rotation(photo.yaw).T + photo.centre
     depth = floor @ photo.image_from_robot[2, :2] + photo.image_from_robot[2, 2]
     floor = floor[depth > 0.02]
-    pixels = projection.distort_points(
-        photo.intrinsics, apply_homography(photo.image_from_robot, floor)
-    )
+    pixels = distort_points(photo.intrinsics, apply_homography(photo.image_from_robot, floor))
     seen = np.all((pixels >= 0) & (pixels <= np.array(photo.size) - 1), axis=1)
-    undistorted = projection.undistort_points(calibration, pixels[seen])
+    undistorted = undistort_points(calibration, pixels[seen])
     measured = apply_homography(calibration.robot_from_image, undistorted)
     first, second = np.triu_indices(int(seen.sum()), 1)
     true = np.linalg.norm(floor[seen][first] - floor[seen][second], axis=1)
@@ -57,7 +56,7 @@ def run(photo: Photo, folder: Path, options: CalibrateOptions = SQUARE) -> Calib
 
 def solve(photo: Photo, corners: np.ndarray, sigma: float, *, known: bool) -> calibrate.Mounting:
     ordered = calibrate.sort_corners(corners, photo.size)
-    undistorted = projection.undistort_points(photo.intrinsics, ordered) if known else ordered
+    undistorted = undistort_points(photo.intrinsics, ordered) if known else ordered
     points = calibrate.FloorPoints(
         calibrate.square_target(photo.side), undistorted, np.eye(8) * sigma**2
     )
@@ -234,8 +233,8 @@ def test_the_command_writes_a_calibration_and_a_check_picture(tmp_path: Path) ->
 def test_the_far_limit_is_chosen_or_given(tmp_path: Path) -> None:
     photo = Photo(pitch=20.0, height=0.2, centre=(0.6, 0.0), noise=2.0)
     chosen = run(photo, tmp_path)
-    near = projection.floor_sampling(chosen, [[0.35, 0.0]])[0, 0]
-    far = projection.floor_sampling(chosen, [[chosen.max_range_metres, 0.0]])[0, 0]
+    near = floor_sampling(chosen, [[0.35, 0.0]])[0, 0]
+    far = floor_sampling(chosen, [[chosen.max_range_metres, 0.0]])[0, 0]
     assert far / near > 3
     given = run(photo, tmp_path, CalibrateOptions(SIDE_METRES, max_range_metres=0.9))
     assert given.max_range_metres == 0.9
@@ -277,7 +276,7 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path: Path) -> None:
     output = tmp_path / "out.yaml"
     corners = ((100.0, 100.0), (300.0, 100.0), (300.0, 300.0), (100.0, 300.0))
     lens = tmp_path / "lens.yaml"
-    save_calibration(lens, projection.top_down_calibration((320, 240)))
+    save_calibration(lens, top_down_calibration((320, 240)))
     text = tmp_path / "text.png"
     text.write_text("no picture")
     cases: list[tuple[Path, CalibrateOptions, type[Exception], str]] = [

@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from slamcli.core.arrays import UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Intrinsics
+from slamcli.core.camera.footprint import seen_floor
+from slamcli.core.camera.lens import image_centre, undistort_points
+from slamcli.core.camera.resolution import resolution_image
 from slamcli.core.config import FeatureOptions
 from slamcli.core.errors import CalibrationError, FrameError, InputError, SlamcliError
 from slamcli.core.geometry import Pose2, apply_homography
@@ -155,7 +157,7 @@ def _calibrate(photo: Path, options: CalibrateOptions, intrinsics: Intrinsics | 
     else:
         mounting = solving.solve_mounting_with_intrinsics(target.points, intrinsics)
     calibration = solving.make_calibration(mounting, size, intrinsics, options.max_range_metres)
-    floor = projection.seen_floor(calibration)
+    floor = seen_floor(calibration)
     area, resolved = floor_areas(calibration)
     resampler = view.make_view_resampler(
         calibration, view.registration_metres_per_pixel(calibration)
@@ -179,7 +181,7 @@ def _find_target(
         grid, pixels = board.find_chessboard(image, columns, rows, options.side_metres)
         points = solving.FloorPoints(
             grid,
-            projection.undistort_points(lens, pixels),
+            undistort_points(lens, pixels),
             np.eye(2 * len(grid)) * board.CHESSBOARD_SIGMA_PIXELS**2,
         )
         ends = [0, columns - 1, columns * rows - 1, columns * (rows - 1)]
@@ -187,7 +189,7 @@ def _find_target(
     if options.corners is not None and not options.refine:
         corners = solving.sort_corners(options.corners, size)
         covariance = np.eye(8) * _GIVEN_CORNER_SIGMA_PIXELS**2
-        undistorted = projection.undistort_points(lens, corners)
+        undistorted = undistort_points(lens, corners)
         return Target("square", solving.FloorPoints(target, undistorted, covariance), corners, ())
     notes: list[str] = []
     name = "square"
@@ -217,7 +219,7 @@ def _find_target(
 
 def _plain_lens(size: tuple[int, int]) -> Intrinsics:
     """Return a lens without distortion; nothing reads its focal length."""
-    column, row = projection.image_centre(size)
+    column, row = image_centre(size)
     matrix = np.array([[size[0], 0.0, column], [0.0, size[0], row], [0.0, 0.0, 1.0]])
     return Intrinsics(matrix, np.zeros(5), "plumb_bob", size)
 
@@ -236,14 +238,14 @@ def _bow_note(found: square.Square, intrinsics: Intrinsics | None) -> list[str]:
 def _write(path: Path, result: Result, options: CalibrateOptions) -> None:
     calibration, target = result.calibration, result.target
     corners = apply_homography(
-        calibration.robot_from_image, projection.undistort_points(calibration, target.outline)
+        calibration.robot_from_image, undistort_points(calibration, target.outline)
     )
     grid = birdseye_grid(calibration, corners)
     # Past the far limit too, as far as the picture shows it: the square may lie there.
     reach = float(np.hypot(*grid.corners.T).max())
     wide = replace(calibration, max_range_metres=max(reach, calibration.max_range_metres))
     frame = Frame(0, result.photo.name, None, result.image)
-    resampler = view.make_resampler(wide, projection.resolution_image(wide), grid, Pose2())
+    resampler = view.make_resampler(wide, resolution_image(wide), grid, Pose2())
     birdseye = view.make_view(frame, resampler, gray=False)
     picture = draw_calibration(
         result.image, target.outline, calibration, birdseye, describe(result)

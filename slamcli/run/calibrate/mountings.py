@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from slamcli.core.arrays import Float64Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import footprint_hull, seen_floor
+from slamcli.core.camera.resolution import floor_sampling
 from slamcli.stages import calibrate as solving
 
 # Floor that a pixel covers more of than this shows no scuff, seam or painted edge sharply.
@@ -99,11 +100,11 @@ def choose_best(results: Sequence[Result]) -> tuple[Result, str]:
 
 def floor_areas(calibration: Calibration) -> tuple[float, float]:
     """Return square metres of floor kept, and the part that is resolved."""
-    hull = projection.footprint_hull(calibration)
+    hull = footprint_hull(calibration)
     x, y = hull.T
     area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
-    floor = projection.seen_floor(calibration)
-    sampling = projection.floor_sampling(calibration, floor)
+    floor = seen_floor(calibration)
+    sampling = floor_sampling(calibration, floor)
     # The points lie evenly in the picture, so each stands for floor like its pixel's.
     weight = sampling.prod(axis=1)
     resolved = sampling[:, 0] <= RESOLVED_METRES_PER_PIXEL
@@ -125,7 +126,7 @@ def _sampling(result: Result) -> list[tuple[str, Float64Array | None]]:
         depth = float(ahead[0] @ calibration.image_from_robot[2, :2]) + float(
             calibration.image_from_robot[2, 2]
         )
-        sampling = projection.floor_sampling(calibration, ahead)[0] if depth > 0 else None
+        sampling = floor_sampling(calibration, ahead)[0] if depth > 0 else None
         sampled.append((name, sampling))
     return sampled
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.lens import undistort_points
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import CalibrationError, InputError
 from slamcli.core.geometry import Pose2, apply_homography
@@ -90,7 +90,7 @@ def true_scale(origin: CalibrationSource | None, calibration: Calibration) -> fl
 
     corners = solving.sort_corners(origin.corners, calibration.image_size)
     target = solving.square_target(origin.side_metres)
-    pixels = projection.undistort_points(calibration, corners)
+    pixels = undistort_points(calibration, corners)
     floor = apply_homography(calibration.robot_from_image, pixels)
     edge, side = floor[1] - floor[0], target[1] - target[0]
     yaw = math.atan2(edge[1], edge[0]) - math.atan2(side[1], side[0])

@@ -9,8 +9,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from slamcli.core.camera import projection
-from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.calibration import Calibration, top_down_calibration
 from slamcli.core.config import FeatureMethod, FeatureOptions, MapperOptions, MatchOptions
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Grid
@@ -130,9 +129,7 @@ def plain_picture(frame: Frame, enlargement: int = 1) -> PairImage:
         size = (grid.width, grid.height)
         gray = np.asarray(cv2.resize(gray, size, interpolation=cv2.INTER_CUBIC), np.uint8)
         mask = np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)
-    return PairImage(
-        frame, View(grid, gray, mask), projection.top_down_calibration((width, height))
-    )
+    return PairImage(frame, View(grid, gray, mask), top_down_calibration((width, height)))
 
 
 def birdseye_picture(frame: Frame, calibration: Calibration, metres_per_pixel: float) -> PairImage:

@@ -11,8 +11,8 @@ from itertools import chain
 from pathlib import Path
 
 from slamcli.core.arrays import Float64Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import default_metres_per_pixel, footprint_hull
 from slamcli.core.camera.mounting import rocked
 from slamcli.core.config import ProductOptions
 from slamcli.core.errors import FrameError, InputError
@@ -126,7 +126,7 @@ def paint_scene(
         When nothing is to be painted, or a memory limit leaves no room to paint in.
     OutputError
     """
-    scale = options.paint.metres_per_pixel or projection.default_metres_per_pixel(scene.calibration)
+    scale = options.paint.metres_per_pixel or default_metres_per_pixel(scene.calibration)
     store = TileStore(folder, tiles.TILE_PIXELS, options.layers)
     light = _light(scene, workers, progress, scheduler) if options.paint.gain else None
     paint = replace(options.paint, metres_per_pixel=scale)
@@ -206,7 +206,7 @@ def check_png(grid: Grid, options: ProductOptions) -> None:
 
 def check_scene(scene: Scene, options: ProductOptions) -> None:
     """Refuse what cannot be written before anything is painted."""
-    scale = options.paint.metres_per_pixel or projection.default_metres_per_pixel(scene.calibration)
+    scale = options.paint.metres_per_pixel or default_metres_per_pixel(scene.calibration)
     painter = Painter(scene.calibration, scale)
     grid = painter.extent([shot.map_from_robot for shot in scene.shots])
     if options.crop is not None:
@@ -230,7 +230,7 @@ def cropped(grid: Grid, crop: tuple[float, float, float, float]) -> Grid:
 
 
 def _light(scene: Scene, workers: int, progress: Progress, scheduler: str) -> Exposure:
-    hull = projection.footprint_hull(scene.calibration)
+    hull = footprint_hull(scene.calibration)
     step = exposure.comparison_step(scene.calibration)
     work = partial(_observe, hull, step)
     observations = []

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.camera import projection
+from slamcli.core.camera.footprint import default_metres_per_pixel
 from slamcli.core.errors import FrameError
 from slamcli.io.frames import FrameFile, read_frame, read_reduced_gray
 from slamcli.mapping.mapper import Mapper
@@ -136,9 +136,7 @@ def _blurred(details: Sequence[float], numbers: Sequence[int]) -> list[int]:
 def _costs(inputs: Inputs, options: StitchOptions) -> list[str]:
     """Register a few runs of frames; return what all of it will come to."""
     files, calibration = inputs.files, inputs.calibration
-    scale = options.products.paint.metres_per_pixel or projection.default_metres_per_pixel(
-        calibration
-    )
+    scale = options.products.paint.metres_per_pixel or default_metres_per_pixel(calibration)
     painter = Painter(calibration, scale, options.products.paint)
     starts = np.linspace(0, max(0, len(files) - _PROBE_FRAMES), _PROBES).astype(int)
     shares, count, started = [], 0, time.perf_counter()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.camera import projection
+from slamcli.core.camera.resolution import line_of_sight_axes
 from slamcli.core.geometry import Pose2
 from slamcli.core.robust import GEMAN_MCCLURE_SIGMAS, RAYLEIGH_MEDIAN, geman_mcclure_weights
 
@@ -92,9 +92,7 @@ def fit_rigid(
 
 def _covariances(points: Float64Array, sigmas: Float64Array) -> Float64Array:
     """Return (3, M) covariances xx, xy and yy in the robot frame, of sigmas in sight and across."""
-    (sight_x, sight_y), (across_x, across_y) = (
-        axis.T for axis in projection.line_of_sight_axes(points)
-    )
+    (sight_x, sight_y), (across_x, across_y) = (axis.T for axis in line_of_sight_axes(points))
     along, across = sigmas.T**2
     return np.stack(
         [

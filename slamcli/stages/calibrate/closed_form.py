@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Intrinsics
+from slamcli.core.camera.lens import image_centre
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import apply_homography, invert
 
@@ -138,7 +138,7 @@ def squareness(
     """
     homography = fit_homography(square_target(1.0), corners)
     if intrinsics is None:
-        column, row = projection.image_centre(image_size)
+        column, row = image_centre(image_size)
         low, high = FOCAL_RANGE_WIDTHS
         centring = np.array([[1.0, 0.0, -column], [0.0, 1.0, -row], [0.0, 0.0, 1.0]])
         closed_form = focal_from_homography(centring @ homography, float(image_size[0]))

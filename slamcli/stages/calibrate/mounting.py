@@ -13,8 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration, Intrinsics
+from slamcli.core.camera.footprint import choose_max_range, seen_floor
+from slamcli.core.camera.lens import image_centre
+from slamcli.core.camera.mounting import image_from_robot_homography
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import Pose2, apply_homography, invert
 from slamcli.core.robust import fit_rigid_2d
@@ -91,7 +93,7 @@ def solve_mounting(points: FloorPoints, image_size: tuple[int, int]) -> Mounting
         When the points do not tell the focal length, or no camera above the floor sees them so.
     """
     width = float(image_size[0])
-    centre = projection.image_centre(image_size)
+    centre = image_centre(image_size)
     centring = np.array([[1.0, 0.0, -centre[0]], [0.0, 1.0, -centre[1]], [0.0, 0.0, 1.0]])
     homography = centring @ fit_homography(points.target, points.pixels)
     closed_form = focal_from_homography(homography, width)
@@ -136,12 +138,12 @@ def make_calibration(
         When nothing of the floor is within the far limit.
     """
     if intrinsics is None:
-        column, row = projection.image_centre(image_size)
+        column, row = image_centre(image_size)
         focal = mounting.focal_pixels
         matrix = np.array([[focal, 0.0, column], [0.0, focal, row], [0.0, 0.0, 1.0]])
         intrinsics = Intrinsics(matrix, np.zeros(5), "plumb_bob", image_size)
     matrix = intrinsics.camera_matrix
-    image_from_robot = projection.image_from_robot_homography(
+    image_from_robot = image_from_robot_homography(
         matrix, mounting.height_metres, mounting.pitch_radians, mounting.roll_radians
     )
     calibration = Calibration(
@@ -154,7 +156,7 @@ def make_calibration(
         pitch_radians=mounting.pitch_radians,
         roll_radians=mounting.roll_radians,
         max_range_metres=(
-            projection.choose_max_range(matrix, image_from_robot, image_size)
+            choose_max_range(matrix, image_from_robot, image_size)
             if max_range_metres is None
             else max_range_metres
         ),
@@ -163,7 +165,7 @@ def make_calibration(
         pitch_sigma_radians=float(mounting.sigmas[2]),
         roll_sigma_radians=float(mounting.sigmas[3]),
     )
-    projection.seen_floor(calibration)
+    seen_floor(calibration)
     return calibration
 
 
@@ -223,7 +225,7 @@ def _project(
 ) -> Float64Array:
     log_zoom, log_height, pitch, roll, x, y, yaw = (float(value) for value in values)
     zoomed = camera_matrix @ np.diag([math.exp(log_zoom), math.exp(log_zoom), 1.0])
-    homography = projection.image_from_robot_homography(zoomed, math.exp(log_height), pitch, roll)
+    homography = image_from_robot_homography(zoomed, math.exp(log_height), pitch, roll)
     return apply_homography(homography, Pose2(x, y, yaw).apply(target))
 
 
@@ -236,7 +238,7 @@ def _start(points: FloorPoints, camera_matrix: Float64Array) -> Float64Array:
     height = -float(origin @ up)
     if height <= 0:
         raise CalibrationError("no camera above the floor sees the corners like this")
-    image_from_robot = projection.image_from_robot_homography(camera_matrix, height, pitch, roll)
+    image_from_robot = image_from_robot_homography(camera_matrix, height, pitch, roll)
     floor = apply_homography(invert(image_from_robot), points.pixels)
     placed = fit_rigid_2d(floor, points.target)
     return np.array([0.0, math.log(height), pitch, roll, placed.x, placed.y, placed.theta])

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float32Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.resolution import floor_sampling, range_sigma
 from slamcli.core.config import FeatureOptions
 from slamcli.core.geometry import apply_homography
 from slamcli.core.records import Features, Keypoints, View
@@ -67,12 +67,10 @@ def to_features(
     that is coarser where it lies, times the scale of the pyramid level that it was found on.
     """
     points = apply_homography(view.grid.metres_from_pixel, keypoints.pixels)
-    pixel = np.maximum(projection.floor_sampling(calibration, points), view.grid.metres_per_pixel)
+    pixel = np.maximum(floor_sampling(calibration, points), view.grid.metres_per_pixel)
     sigmas = pixel * keypoints.sigmas[:, None]
     if tilt_sigma_radians > 0.0:
-        sigmas[:, 0] = np.hypot(
-            sigmas[:, 0], projection.range_sigma(calibration, points, tilt_sigma_radians)
-        )
+        sigmas[:, 0] = np.hypot(sigmas[:, 0], range_sigma(calibration, points, tilt_sigma_radians))
     return Features(
         points.astype(np.float32),
         keypoints.descriptors,

@@ -12,8 +12,9 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from slamcli.core.arrays import Float32Array, Float64Array, Int32Array, Int64Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.lens import image_centre
+from slamcli.core.camera.projection import project_floor
 from slamcli.core.geometry import Pose2
 
 # Floor is compared at this many places along the usable range.
@@ -115,7 +116,7 @@ def observe(
     columns, rows = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
     places = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.int64)
     floor = map_from_robot.inverse().apply(places * step_metres)
-    pixels, seen = projection.project_floor(calibration, floor)
+    pixels, seen = project_floor(calibration, floor)
     places, pixels = places[seen], pixels[seen]
     width, height = calibration.image_size
     side = max(3, round(gray.shape[1] * _BLUR_SHARE) | 1)
@@ -126,7 +127,7 @@ def observe(
     index = np.rint(pixels * scale).astype(int)
     level = mean[index[:, 1], index[:, 0]].astype(np.float64)
     variance = np.maximum(square[index[:, 1], index[:, 0]] - level**2, 0.0)
-    centre = np.array(projection.image_centre(calibration.image_size))
+    centre = np.array(image_centre(calibration.image_size))
     radius_squared = np.sum((pixels - centre) ** 2, axis=1) / float(centre @ centre)
     usable = (level > _DARKEST_GRAY) & (level < _BRIGHTEST_GRAY)
     contrast = np.sqrt(variance[usable]) / level[usable]
@@ -247,7 +248,7 @@ def brightening_image(
     """
     if vignetting == (0.0, 0.0):
         return None
-    centre_x, centre_y = projection.image_centre(image_size)
+    centre_x, centre_y = image_centre(image_size)
     columns, rows = (step * np.arange(-(-(side - 1) // step) + 1) for side in image_size)
     across, down = (columns - centre_x) ** 2, (rows - centre_y) ** 2
     radius = (across[None, :] + down[:, None]) / (centre_x**2 + centre_y**2)

@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import seen_floor
+from slamcli.core.camera.lens import distort_points, undistorted_bounds
+from slamcli.core.camera.resolution import floor_sampling
 from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.stages.mosaic import exposure
 
@@ -82,7 +84,7 @@ def border_fade(pixels_per_metre: Float32Array) -> UInt8Array:
     Parameters
     ----------
     pixels_per_metre : (H, W) float32
-        From `projection.resolution_image`: 0 where no floor is seen.
+        From `resolution_image`: 0 where no floor is seen.
     """
     usable = np.pad(np.where(pixels_per_metre > 0, np.uint8(255), np.uint8(0)), 1)
     distance = np.asarray(cv2.distanceTransform(usable, cv2.DIST_L2, 3))[1:-1, 1:-1]
@@ -164,8 +166,8 @@ def may_be_halved(calibration: Calibration, metres_per_pixel: float) -> bool:
 
 def _pixels_a_metre(calibration: Calibration) -> tuple[float, float]:
     """Return how many of its pixels a picture spends on a metre of floor, at least and at most."""
-    floor = projection.seen_floor(calibration)
-    spacing = np.sqrt(projection.floor_sampling(calibration, floor).prod(axis=1))
+    floor = seen_floor(calibration)
+    spacing = np.sqrt(floor_sampling(calibration, floor).prod(axis=1))
     return 1.0 / float(spacing.max()), 1.0 / float(spacing.min())
 
 
@@ -364,14 +366,14 @@ def _lens_map(
     pixels = np.column_stack([columns.ravel(), rows.ravel()])
     undistorted = apply_homography(homography, pixels)
     depth = pixels @ homography[2, :2] + homography[2, 2]
-    low, high = projection.undistorted_bounds(calibration)
+    low, high = undistorted_bounds(calibration)
     # Far outside the picture the lens polynomial folds back into it; near its border it does not.
     slack = 0.05 * (high - low)
     outside = (depth <= 0) | ~np.all(
         (undistorted >= low - slack) & (undistorted <= high + slack), axis=1
     )
     undistorted[outside] = low
-    places = projection.distort_points(calibration, undistorted)
+    places = distort_points(calibration, undistorted)
     places[outside] = _OUT_OF_SIGHT
     lattice = places.reshape(down, across, 2).astype(np.float32)
     matrix = np.array([[1.0 / step, 0.0, 0.0], [0.0, 1.0 / step, 0.0]])

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates, uniform_filter1d
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array
-from slamcli.core.camera import projection
-from slamcli.core.camera.projection import Lens
+from slamcli.core.camera.lens import Lens, distort_points, undistort_points
 from slamcli.stages.square.candidates import intersect, is_convex, line_through, quad_area
 from slamcli.stages.square.lines import Side, fit_side, fit_side_robustly, ransac_weights
 
@@ -152,8 +151,8 @@ def _read_profiles(
     steps = np.linspace(0.03, 0.97, count)
     points = start + (end - start) * steps[:, None]
     outward = np.array([end[1] - start[1], start[0] - end[0]]) / length
-    origins = projection.distort_points(lens, points)
-    normals = projection.distort_points(lens, points + outward) - origins
+    origins = distort_points(lens, points)
+    normals = distort_points(lens, points + outward) - origins
     normals = np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True), np.float64)
     samples = 2 * math.ceil(half_length / _PROFILE_STEP_PIXELS) + 1
     steps_across = np.arange(samples, dtype=np.float64) - samples // 2
@@ -216,7 +215,7 @@ def _coarse_side(
     if good.sum() < _MIN_PROFILES // 2:
         return None
     edge = profiles.origins + profiles.normals * offsets[:, None]
-    points = projection.undistort_points(lens, edge)[good]
+    points = undistort_points(lens, edge)[good]
     weights = ransac_weights(points)
     return fit_side(
         points, weights, len(profiles.usable), polarity * typical, float(image.shape[1])
@@ -253,7 +252,7 @@ def _fine_side(
     if near.sum() < _MIN_PROFILES // 2:
         return None
     edge = (profiles.origins[good] + profiles.normals[good] * position[:, None])[near]
-    points = projection.undistort_points(lens, edge)
+    points = undistort_points(lens, edge)
     return fit_side_robustly(
         points, int(profiles.usable.sum()), polarity * typical, float(image.shape[1])
     )

@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float64Array, UInt8Array
-from slamcli.core.camera import projection
-from slamcli.core.camera.projection import Lens
+from slamcli.core.camera.lens import Lens, distort_points, undistort_points
 from slamcli.core.errors import CalibrationError
 from slamcli.stages.square.candidates import find_candidates, quad_area, same_quad
 from slamcli.stages.square.edges import EdgedQuad, inner_radius, refine_quad
@@ -97,14 +96,14 @@ def refine_square(image: UInt8Array, corners: Float64Array, lens: Lens) -> Squar
         When a side shows no edge there.
     """
     luminance = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
-    undistorted = projection.undistort_points(lens, corners)
+    undistorted = undistort_points(lens, corners)
     quad = refine_quad(luminance, undistorted, lens, 4.0)
     if quad is None:
         raise CalibrationError(
             "the sides between the given corners show no edges to refine them by; "
             "check --corners, or leave out --refine to use them as they are"
         )
-    return Square(projection.distort_points(lens, quad.corners), quad, quad.support)
+    return Square(distort_points(lens, quad.corners), quad, quad.support)
 
 
 def _squares_in(plane: UInt8Array, lens: Lens, judge: Judge) -> list[Square]:
@@ -118,13 +117,13 @@ def _squares_in(plane: UInt8Array, lens: Lens, judge: Judge) -> list[Square]:
     exact = plane.astype(np.float32)
     found: list[Square] = []
     for quad, support in zip(_enlarge(quads, shrink), supports, strict=True):
-        undistorted = projection.undistort_points(lens, quad)
+        undistorted = undistort_points(lens, quad)
         if support < _MIN_SUPPORT or inner_radius(undistorted) < _MIN_RADIUS_PIXELS:
             continue
         edged = refine_quad(exact, undistorted, lens, _REACH_PIXELS * shrink)
         if edged is None or edged.support < _MIN_SUPPORT:
             continue
-        corners = projection.distort_points(lens, edged.corners)
+        corners = distort_points(lens, edged.corners)
         if np.any(corners < 0) or np.any(corners > (width - 1, height - 1)):
             continue
         score = _score(edged, width * height, judge)
