@@ -1,4 +1,4 @@
-"""Poses on the floor and the metric pixel grids laid over it."""
+"""Geometry in the plane: poses, homographies, and metric pixel grids."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a trajectory is from the truth, and whether its sigmas admit as much.
+"""Trajectory evaluation: ATE, RPE, and the consistency of the sigmas (NEES).
 
 ATE and RPE as in Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012,
 in the plane: the evo package gives the same numbers.
@@ -29,7 +29,7 @@ def evaluate(
     ----------
     estimate, truth : Trajectory
     tolerance_seconds : float
-        Most that two stamps may differ by to be of the same moment.
+        Largest difference of two stamps of the same moment.
     delta : int
         Over how many poses the relative motion is compared, at least 1.
 
@@ -70,8 +70,8 @@ def match_poses(
             )
         return "stamps", pairs[:, 0], pairs[:, 1]
     if estimate.names is not None and truth.names is not None:
-        places = {name: index for index, name in enumerate(truth.names)}
-        common = [(i, places[name]) for i, name in enumerate(estimate.names) if name in places]
+        index_of = {name: index for index, name in enumerate(truth.names)}
+        common = [(i, index_of[name]) for i, name in enumerate(estimate.names) if name in index_of]
         if not common:
             raise InputError(
                 f"no frame name in common: the poses begin with {estimate.names[0]}, "
@@ -157,8 +157,8 @@ def _normalised_errors(
 ) -> Float64Array:
     """Return the squared error over variance, summed over x, y, heading, of each pose but one.
 
-    The map is where its surest pose is, so that pose is laid on its truth and left out. A best
-    alignment would hide a part of the error.
+    The map lies where its most certain pose is, so that pose is laid on its truth and left out. A
+    best alignment would hide a part of the error.
     """
     known = np.flatnonzero(np.isfinite(sigmas).all(axis=1) & (sigmas > 0.0).all(axis=1))
     if len(known) < 2:

@@ -1,4 +1,4 @@
-"""From the camera's picture to the bird's-eye view of the floor, in one resample."""
+"""Inverse perspective mapping: the camera's picture to a bird's-eye view, in one resample."""
 
 from __future__ import annotations
 
@@ -13,26 +13,27 @@ from scipy.spatial import ConvexHull
 from slamcli.core.arrays import BoolArray, Float32Array, Int16Array, UInt8Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.footprint import default_metres_per_pixel, footprint, footprint_hull
-from slamcli.core.camera.projection import SamplingMap
-from slamcli.core.camera.projection import sampling_map
+from slamcli.core.camera.projection import SamplingMap, sampling_map
 from slamcli.core.camera.resolution import resolution_image
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Frame, View
 from slamcli.core.robust import NORMAL_MEDIAN
 
-# A view of about a megapixel carries enough points, and warps and detects in milliseconds. Of a
+# A view of about a megapixel has enough points, and warps and detects in milliseconds. Of a
 # picture that has many pixels to each of the view's, half as many serve as well: each is the mean
-# of several, and what noise they have left is less. Motions err by hundredths of a millimetre more.
+# of several, with less noise. Motions err by hundredths of a millimetre more
+# [guarded by benchmarks/accuracy.py and benchmarks/stages.py].
 _REGISTRATION_PIXELS, _FEWER_PIXELS = 1.0e6, 0.5e6
 _MANY_TO_ONE = 1.5
 _MAX_LEVEL = 4
-# So much farther than features are of use a line or an edge still tells something; a view that
-# gains less floor than this by it tells no more.
+# Up to this many times the range of features a line or an edge is still of use; a view that gains
+# less floor than this by it is not worth its time [guarded by benchmarks/robustness.py].
 _FAR_TIMES = 2.2
 _FAR_COARSER = 2.0
 _MIN_FAR_GAIN = 1.3
-# A picture with less contrast than its own noise shows nothing that could be matched.
+# A picture with less contrast than its own noise shows nothing that could be matched
+# [guarded by tests/stages/test_view.py].
 _MIN_DEVIATION_GRAY = 1.0
 _SATURATED_GRAY = 250
 _MAX_SATURATED_SHARE = 0.98
@@ -45,7 +46,7 @@ _DARK_GRAY = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Resampler:
-    """Everything about one raster over one camera that does not depend on the picture.
+    """The precomputed mapping from a camera's pictures to one raster on the floor.
 
     Attributes
     ----------
@@ -63,7 +64,19 @@ class Resampler:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
-    """The part of a raster that is read from one pyramid level: where, from which pixels."""
+    """The part of a raster that is read from one level of the picture's pyramid.
+
+    Attributes
+    ----------
+    level : int
+        0 is the picture itself.
+    rows, columns : slice
+        Of the raster: the bounding box of the part.
+    inside : (h, w) uint8
+        1 where the box belongs to the part.
+    columns_read, rows_read : (h, w) float32
+        Pixels of the level.
+    """
 
     level: int
     rows: slice
@@ -74,7 +87,7 @@ class Band:
 
 
 def registration_metres_per_pixel(calibration: Calibration) -> float:
-    """Return the resolution of the views that are matched: the default, coarser if that is vast."""
+    """Return the resolution of the views that are registered: the default, or coarser if vast."""
     finest = default_metres_per_pixel(calibration)
     grid = footprint(calibration, finest)
     many = math.prod(calibration.image_size) >= _MANY_TO_ONE * _FEWER_PIXELS
@@ -178,7 +191,7 @@ def make_view(frame: Frame, resampler: Resampler, *, gray: bool) -> View:
 
 
 def make_compared_views(frame: Frame, resamplers: Iterable[Resampler]) -> list[View]:
-    """Return gray views of one frame that are to be compared by their pixels: with its noise."""
+    """Return gray views of one frame with its noise, for comparison by their pixels."""
     image = to_gray(frame.image)
     noise = noise_gray(image)
     return [View(r.grid, resample(image, r), _seen(frame, r), noise) for r in resamplers]
@@ -233,7 +246,7 @@ def to_colour(image: UInt8Array) -> UInt8Array:
 
 
 def check_frame(frame: Frame, calibration: Calibration) -> None:
-    """Raise FrameError for a frame that this calibration's camera cannot have taken."""
+    """Raise FrameError for a frame that the calibration's camera cannot have taken."""
     image = frame.image
     if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
         raise FrameError("not an array of 8-bit pixels; convert it to uint8 BGR or gray")
@@ -248,7 +261,7 @@ def check_frame(frame: Frame, calibration: Calibration) -> None:
 
 
 def check_view(view: View) -> None:
-    """Raise FrameError when the floor part of a (gray) view shows nothing."""
+    """Raise FrameError when the floor part of a gray view shows nothing that could be matched."""
     count = cv2.countNonZero(view.mask)
     if count == 0:
         raise FrameError("no floor in the frame: all of it is masked or out of range")

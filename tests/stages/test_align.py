@@ -308,7 +308,7 @@ def test_a_crowd_of_inliers_is_turned_away(agreeing):
     points_a = generator.uniform(-2.0, 2.0, (60, 2)).astype(np.float32)
     points_a[:30] = RIGID.apply(points_b[:30])
     fit = align.align(replace(a, points=points_a), replace(b, points=points_b), MatchOptions())
-    assert "inliers crowd on" in fit.reason
+    assert "inliers cover" in fit.reason
 
 
 def test_inliers_that_fill_the_disc_are_chance():

@@ -22,13 +22,13 @@ def plain_lens(size: tuple[int, int]) -> Intrinsics:
 
 def find(image: np.ndarray, intrinsics: Intrinsics | None = None) -> tuple[Square, ...]:
     size = (image.shape[1], image.shape[0])
-    judge = partial(
+    how_square = partial(
         calibrate.squareness,
         image_size=size,
         intrinsics=intrinsics,
         tolerance_pixels=0.004 * size[0],
     )
-    return find_squares(image, intrinsics or plain_lens(size), judge)
+    return find_squares(image, intrinsics or plain_lens(size), how_square)
 
 
 def corner_errors(corners: np.ndarray, truth: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The rigid motion of a link, weighted by how well each point is known, with its covariance."""
+"""Rigid registration of point pairs by robust weighted least squares, with its covariance."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from slamcli.core.geometry import Pose2
 from slamcli.core.robust import GEMAN_MCCLURE_SIGMAS, RAYLEIGH_MEDIAN, geman_mcclure_weights
 
 _MAX_ITERATIONS = 20
+# A step this small, in standard deviations of the motion, ends the iteration.
 _CONVERGED_SIGMAS = 1e-3
 # The sigmas given count as much as this many residuals do: few points, or the same picture twice,
 # cannot make a motion look perfectly known [guarded by tests/stages/test_align.py].
@@ -21,7 +22,7 @@ _PRIOR_RESIDUALS = 8.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigidFit:
-    """A rigid motion with its covariance.
+    """Result of the rigid fit: a motion with its covariance.
 
     Attributes
     ----------
@@ -31,7 +32,7 @@ class RigidFit:
     weights : (M,) float64
         From 1, a point that fits, to 0, one that is ignored.
     scale : float
-        How many times larger the residuals are than the sigmas said.
+        How many times larger the residuals are than the sigmas predict.
     """
 
     a_from_b: Pose2
@@ -50,7 +51,7 @@ def fit_rigid(
     """Refine a rigid motion by robust, weighted least squares (Gauss-Newton).
 
     The residual of a match has the covariance ``S_a + R S_b R^T``, each S in the axes of its
-    point's line of sight; outliers are weighted down by Geman and McClure's kernel.
+    point's line of sight; outliers are down-weighted by Geman and McClure's kernel.
 
     Parameters
     ----------
@@ -150,7 +151,7 @@ def _products(first: Float64Array, second: Float64Array) -> Float64Array:
 
 
 def _scale(length: Float64Array) -> float:
-    """Return how many times larger residuals are than their sigmas said, by their median."""
+    """Return how many times larger residuals are than their sigmas predict, by their median."""
     count = len(length)
     measured = (float(np.median(length)) / RAYLEIGH_MEDIAN) ** 2
     # Three of the 2 M residuals' degrees of freedom went into the motion.

@@ -1,4 +1,4 @@
-"""Points of the floor that can be found again, on the bird's-eye view, in metres.
+"""Feature extraction: keypoints and descriptors of the bird's-eye view, placed on the floor.
 
 ORB: Rublee et al., ICCV 2011. SIFT: Lowe, IJCV 60, 2004. The low-pass with a threshold
 (``clean_image``) and the region of interest are those of the 2015 thesis.
@@ -61,7 +61,7 @@ def detect(view: View, options: FeatureOptions) -> Keypoints:
 def to_features(
     view: View, keypoints: Keypoints, calibration: Calibration, tilt_sigma_radians: float = 0.0
 ) -> Features:
-    """Place a view's keypoints on the floor, with what they may err by.
+    """Place a view's keypoints on the floor, with their standard deviations.
 
     A point errs by a share of a pixel: of the pixel, of the view or of the camera's picture,
     that is coarser where it lies, times the scale of the pyramid level that it was found on.
@@ -84,7 +84,7 @@ def to_features(
 
 
 def prepare(view: View, options: FeatureOptions) -> DetectorInput:
-    """Return what the detector is shown of a gray view: cleaned, and where points may lie."""
+    """Return the detector's input from a gray view: cleaned, and where points may lie."""
     gray = view.image
     if options.clean:
         gray = clean_image(gray, options.clean_kernel_pixels, options.clean_threshold)

@@ -16,8 +16,7 @@ from slamcli.core.camera.footprint import (
 )
 from slamcli.core.camera.lens import distort_points, undistort_points
 from slamcli.core.camera.mounting import compose_robot_from_image, image_from_robot_homography
-from slamcli.core.camera.projection import project_floor
-from slamcli.core.camera.projection import sampling_map
+from slamcli.core.camera.projection import project_floor, sampling_map
 from slamcli.core.camera.resolution import floor_sampling, range_sigma, resolution_image
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import Pose2, apply_homography
