@@ -38,9 +38,9 @@ def floor_distance_errors(photo: Photo, calibration: Calibration) -> np.ndarray:
     measured = apply_homography(calibration.robot_from_image, undistorted)
     first, second = np.triu_indices(int(seen.sum()), 1)
     true = np.linalg.norm(floor[seen][first] - floor[seen][second], axis=1)
-    told = np.linalg.norm(measured[first] - measured[second], axis=1)
+    found = np.linalg.norm(measured[first] - measured[second], axis=1)
     apart = true >= 0.99 * photo.side
-    return np.abs(told / true - 1.0)[apart]
+    return np.abs(found / true - 1.0)[apart]
 
 
 def save_photo(photo: Photo, path: Path) -> Path:
@@ -66,7 +66,7 @@ def solve(photo: Photo, corners: np.ndarray, sigma: float, *, known: bool) -> ca
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_simulated_squares_calibrate_within_the_promised_limits(seed: int, tmp_path: Path) -> None:
+def test_simulated_squares_calibrate_within_the_limits(seed: int, tmp_path: Path) -> None:
     photo = random_photo(seed, hard=False)
     calibration = run(photo, tmp_path)
     assert floor_distance_errors(photo, calibration).max() < 0.01
@@ -87,7 +87,7 @@ def test_exact_corners_give_the_exact_camera(yaw: float, roll: float) -> None:
     assert mounting.residual_pixels < 1e-6
 
 
-def test_the_sigmas_tell_how_far_the_numbers_are_off() -> None:
+def test_the_sigmas_match_the_errors_of_the_numbers() -> None:
     photo = Photo(yaw=25.0, roll=2.0)
     generator = np.random.default_rng(4)
     scores = []

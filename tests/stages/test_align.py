@@ -1,4 +1,4 @@
-"""Matching, RANSAC and the rigid fit: known motions come back, rubbish is turned away."""
+"""Matching, RANSAC and the rigid fit: known motions come back, false matches are rejected."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_samples_that_say_nothing_are_not_fitted():
 
 @pytest.mark.parametrize("name", ["similarity", "affine", "homography"])
 def test_shrinking_everything_to_a_point_gains_nothing(name):
-    # 79 of 96 matches end in one spot of a: a scale of 0.001 explains them if asked in a alone.
+    # 79 of 96 matches end in one spot of a: a scale of 0.001 explains them in a, but not in b.
     generator = np.random.default_rng(1)
     b = generator.uniform(-1.0, 1.0, (96, 2))
     a = np.array([0.4, 0.3]) + generator.normal(0.0, 0.007, b.shape)
@@ -156,7 +156,7 @@ def test_a_threshold_for_each_pair():
 
 
 @pytest.mark.parametrize("larger", [1.0, 2.0, 10.0])
-def test_the_covariance_of_a_rigid_fit_is_honest(larger):
+def test_the_covariance_of_a_rigid_fit_matches_its_errors(larger):
     # Far points know their range badly, one in ten matches is wrong by up to some centimetres, and
     # the errors are larger than their sigmas say. Three degrees of freedom: NEES 3.
     generator = np.random.default_rng(3)
@@ -191,7 +191,7 @@ def test_equal_pictures_do_not_make_a_motion_perfectly_known():
     assert fit is not None
     assert fit.a_from_b.translation_length < 1e-9
     sigma = math.sqrt(fit.covariance[0, 0])
-    # A hundred points of sqrt(2) mm: 0.14 mm if believed; a tenth of it is the least left over.
+    # A hundred points of sqrt(2) mm: 0.14 mm by the sigmas given; a tenth of it is the lower limit.
     assert 1e-5 < sigma < 1.5e-4
 
 
@@ -267,7 +267,7 @@ def agreeing():
     return make_features(RIGID.apply(points), descriptors), make_features(points, descriptors)
 
 
-def test_what_is_sound_is_believed(agreeing):
+def test_a_sound_fit_is_accepted(agreeing):
     fit = align.align(*agreeing, MatchOptions())
     assert fit.accepted
     assert fit.inlier_count == 60
@@ -276,7 +276,7 @@ def test_what_is_sound_is_believed(agreeing):
     assert fit.covariance is not None
 
 
-def test_too_few_features_or_matches_are_turned_away(agreeing):
+def test_too_few_features_or_matches_are_rejected(agreeing):
     fit = align.align(*agreeing, MatchOptions(min_inliers=61))
     assert fit.reason == "60 and 60 features; at least 61 of each are needed"
     a, b = agreeing
@@ -287,7 +287,7 @@ def test_too_few_features_or_matches_are_turned_away(agreeing):
     assert math.isnan(fit.median_residual)
 
 
-def test_few_inliers_among_many_matches_are_turned_away(agreeing):
+def test_few_inliers_among_many_matches_are_rejected(agreeing):
     a, b = agreeing
     generator = np.random.default_rng(7)
     points = a.points.copy()
@@ -300,7 +300,7 @@ def test_few_inliers_among_many_matches_are_turned_away(agreeing):
     assert fit.reason.startswith("20 inliers of 60 matches (33%)")
 
 
-def test_a_crowd_of_inliers_is_turned_away(agreeing):
+def test_a_crowd_of_inliers_is_rejected(agreeing):
     a, b = agreeing
     generator = np.random.default_rng(8)
     points_b = b.points.copy()
@@ -321,7 +321,7 @@ def test_inliers_that_fill_the_disc_are_chance():
     assert "no better than by chance" in fit.reason
 
 
-def test_implausible_scales_and_stretches_are_turned_away(agreeing):
+def test_implausible_scales_and_stretches_are_rejected(agreeing):
     a, b = agreeing
     shrunk = replace(a, points=(a.points * 0.05).astype(np.float32))
     fit = align.align(shrunk, b, MatchOptions(model="similarity", max_scale=8.0))

@@ -128,7 +128,7 @@ def test_a_frame_of_another_kind_is_refused(image: np.ndarray, reason: str) -> N
 
 
 @pytest.mark.parametrize("sigma", [2.0, 6.0, 12.0])
-def test_the_noise_of_a_frame_is_told_from_the_texture_of_the_floor(sigma: float) -> None:
+def test_the_noise_of_a_frame_is_separated_from_the_texture_of_the_floor(sigma: float) -> None:
     generator = np.random.default_rng(4)
     flat = np.full((480, 640), 110.0)
     # Grains of a few pixels, four times as strong as the noise.

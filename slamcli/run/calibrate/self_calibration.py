@@ -1,4 +1,4 @@
-"""The camera refined by its own frames: for `slam stitch` and for `slam calibrate --refine`."""
+"""Self-calibration by a drive's frames, for `slam stitch` and `slam calibrate --refine`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def calibrate_by_frames(
     overwrite: bool,
     progress: Progress,
 ) -> list[str]:
-    """Refine an existing calibration by a drive's frames; write it and return what to tell.
+    """Refine an existing calibration by a drive's frames, write it, return the report's lines.
 
     Raises
     ------
@@ -80,12 +80,12 @@ def self_calibrate(
 def true_scale(origin: CalibrationSource | None, calibration: Calibration) -> float:
     """Return by how much a camera's height must grow for its calibration square to have its size.
 
-    The focal length and the tilt that frames tell change how large the square seems in its photo:
-    least squares on the reprojection of its corners, by size and place. 1 without a square.
+    The refined focal length and tilt change how large the square seems in its photo: least squares
+    on the reprojection of its corners, by size and place. 1 without a square.
     """
     if origin is None or origin.target.split()[:1] not in (["square"], ["aruco"]):
         return 1.0
-    # Slow to load, and of use to few runs of `slam stitch`.
+    # Slow to load, and used by few runs of `slam stitch`.
     from scipy.optimize import least_squares
 
     corners = solving.sort_corners(origin.corners, calibration.image_size)
@@ -107,7 +107,7 @@ def true_scale(origin: CalibrationSource | None, calibration: Calibration) -> fl
 
 
 def describe(done: SelfCalibration) -> list[str]:
-    """Return lines of text: what became of the camera, and how well it explains the frames."""
+    """Return lines of text: whether the camera was changed, and how well it fits the frames."""
     lines = [f"{'camera':<12} {done.verdict}: {done.reason}"]
     if math.isfinite(done.pixels_after):
         lines.append(
@@ -125,7 +125,7 @@ def describe(done: SelfCalibration) -> list[str]:
 
 
 def run_section(done: SelfCalibration) -> dict[str, Scalar]:
-    """Return what run.toml says of it."""
+    """Return the section of run.toml."""
     calibration = done.registration.calibration
     section: dict[str, Scalar] = {
         "verdict": done.verdict,

@@ -61,7 +61,7 @@ def sort_corners(corners: ArrayLike, image_size: tuple[int, int]) -> Float64Arra
     turn = along[:, 0] * following[:, 1] - along[:, 1] * following[:, 0]
     if np.any(turn < 0.01 * lengths * np.roll(lengths, -1)):
         raise CalibrationError(
-            f"--corners '{text}': three lie on one line, or one lies between the others; "
+            f"--corners '{text}': three lie on one line, or one lies inside the others; "
             "give the four corners of the square"
         )
     return ordered

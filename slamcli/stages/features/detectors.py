@@ -58,7 +58,7 @@ def _detect_orb(picture: DetectorInput, options: FeatureOptions) -> Keypoints:
 def _usable_levels(gray: UInt8Array, options: FeatureOptions) -> int:
     """Return how many levels are larger than the border that is left out of each.
 
-    Smaller ones hold no point, and OpenCV fails when one has no pixel left.
+    Smaller ones have no point, and OpenCV fails when one has no pixel left.
     """
     side = min(gray.shape)
     levels = options.first_level + 1

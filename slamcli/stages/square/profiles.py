@@ -21,7 +21,7 @@ from slamcli.stages.square.candidates import inner_radius, line_through
 
 PROFILE_STEP_PIXELS = 0.5
 MIN_PROFILES = 12
-# Beyond the transition, the gray levels of either side are measured over so many pixels.
+# Beyond the transition, the gray levels of either side are measured over this many pixels.
 LEVEL_PIXELS = 3.0
 _MAX_PROFILES = 400
 
