@@ -99,7 +99,7 @@ def true_scale(origin: CalibrationSource | None, calibration: Calibration) -> fl
         size, x, y, theta = (float(value) for value in values)
         placed = Pose2(x, y, theta).apply(math.exp(size) * target)
         seen = apply_homography(calibration.image_from_robot, placed)
-        return np.asarray((seen - pixels).ravel(), np.float64)
+        return (seen - pixels).ravel()
 
     start = np.array([0.0, *floor.mean(axis=0), yaw])
     solution = least_squares(misfit, start, method="lm", x_scale="jac")

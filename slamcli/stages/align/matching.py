@@ -132,7 +132,7 @@ def _near_guess(
     squares = np.sum(places**2, axis=1), np.sum(goals**2, axis=1) - radius**2
     left = np.column_stack([places, squares[0], np.ones(len(a))]).astype(np.float32)
     right = np.column_stack([-2.0 * goals, np.ones(len(b)), squares[1]]).astype(np.float32)
-    return np.asarray(left @ right.T <= 0.0).view(np.uint8)
+    return (left @ right.T <= 0.0).view(np.uint8)
 
 
 def _unique(pairs: Int32Array, distances: Float32Array) -> tuple[Int32Array, Float32Array]:

@@ -147,7 +147,7 @@ def _turning(cosine: float, sine: float) -> Float64Array:
 
 def _products(first: Float64Array, second: Float64Array) -> Float64Array:
     """Return (3, 3) sums over all residuals of products of two Jacobians' columns."""
-    return np.asarray(first.reshape(3, -1) @ second.reshape(3, -1).T)
+    return first.reshape(3, -1) @ second.reshape(3, -1).T
 
 
 def _scale(length: Float64Array) -> float:
@@ -181,4 +181,4 @@ def _covariance_of_estimate(
         return None
     if not (np.isfinite(covariance).all() and np.all(np.diag(covariance) > 0.0)):
         return None
-    return np.asarray((covariance + covariance.T) / 2.0)
+    return (covariance + covariance.T) / 2.0

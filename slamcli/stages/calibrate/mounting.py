@@ -187,7 +187,7 @@ def _refine(points: FloorPoints, camera_matrix: Float64Array, *, focal_free: boo
 
     def residuals(values: Float64Array) -> Float64Array:
         projected = _project(points.target, camera_matrix, unpack(values))
-        return np.asarray(whiten @ (projected - points.pixels).ravel(), dtype=np.float64)
+        return whiten @ (projected - points.pixels).ravel()
 
     try:
         solution = least_squares(

@@ -122,5 +122,5 @@ def seen_clearance(mask: UInt8Array) -> Float32Array:
     framed = cv2.copyMakeBorder(seen, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     distance = cv2.distanceTransform(framed, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     # From anywhere in a block to the near side of the nearest block that is not wholly seen.
-    clear = np.maximum(np.asarray(distance[1:-1, 1:-1]) - 1.0, 0.0) * step
+    clear = np.maximum(distance[1:-1, 1:-1] - 1.0, 0.0) * step
     return np.asarray(clear, dtype=np.float32)

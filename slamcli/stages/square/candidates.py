@@ -134,7 +134,7 @@ def _binaries(smooth: UInt8Array) -> Iterator[UInt8Array]:
     """Yield the picture cut at many levels, each opened to shed thin lines, light and dark."""
     low, high = np.percentile(smooth, (1, 99))
     levels = np.linspace(low, high, _THRESHOLD_LEVELS + 2)[1:-1]
-    cuts = [np.asarray(smooth > level) for level in levels]
+    cuts = [smooth > level for level in levels]
     for share in (0.12, 0.4):
         block = int(share * smooth.shape[1]) | 1
         mean = cv2.boxFilter(smooth, cv2.CV_32F, (block, block), borderType=cv2.BORDER_REPLICATE)

@@ -53,7 +53,7 @@ def read_profiles(
     outward = np.array([end[1] - start[1], start[0] - end[0]]) / length
     origins = distort_points(lens, points)
     normals = distort_points(lens, points + outward) - origins
-    normals = np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True), np.float64)
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     samples = 2 * math.ceil(half_length / PROFILE_STEP_PIXELS) + 1
     steps_across = np.arange(samples, dtype=np.float64) - samples // 2
     offsets: Float64Array = steps_across * PROFILE_STEP_PIXELS

@@ -71,7 +71,7 @@ def find_squares(image: UInt8Array, lens: Lens, squareness: Squareness) -> tuple
     CalibrationError
         When no quadrilateral in the picture can be the square.
     """
-    luminance = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    luminance = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     planes = [luminance]
     if _is_coloured(image):
         # A square of another colour but like luminance shows in at least one of the channels.
