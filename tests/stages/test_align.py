@@ -233,6 +233,11 @@ def test_a_guess_keeps_matches_near_it():
     assert set(range(30)) <= set(near[:, 0].tolist())
     far_expected = RIGID.apply(points[near[:, 1]])
     assert np.all(np.linalg.norm(a.points[near[:, 0]] - far_expected, axis=1) <= 0.05)
+    # Without a radius of the user's: a hundred sigmas of 1 mm.
+    usual, _ = align.match_descriptors(a, b, MatchOptions(search_angle_radians=0.0), RIGID.matrix)
+    assert set(range(30)) <= set(usual[:, 0].tolist())
+    far_expected = RIGID.apply(points[usual[:, 1]])
+    assert np.all(np.linalg.norm(a.points[usual[:, 0]] - far_expected, axis=1) <= 0.1)
     turned = RIGID @ Pose2(0.0, 0.0, 0.2)
     assert len(align.match_descriptors(a, b, options, turned.matrix)[0]) < 10
     loose = replace(options, search_angle_radians=0.25)
@@ -326,6 +331,9 @@ def test_implausible_scales_and_stretches_are_rejected(agreeing):
     shrunk = replace(a, points=(a.points * 0.05).astype(np.float32))
     fit = align.align(shrunk, b, MatchOptions(model="similarity", max_scale=8.0))
     assert fit.reason.startswith("a scale of 0.05 among the inliers")
+    grown = replace(a, points=(a.points * 20.0).astype(np.float32))
+    fit = align.align(grown, b, MatchOptions(model="similarity", max_scale=8.0))
+    assert fit.reason.startswith("a scale of 20 among the inliers")
     stretched = replace(b, points=b.points * np.array([3.0, 1.0], np.float32))
     fit = align.align(a, stretched, MatchOptions(model="affine", threshold=0.01))
     assert fit.reason.startswith("a stretch of 3 among the inliers")
@@ -341,6 +349,26 @@ def test_two_motions_that_explain_as_much_are_ambiguous(agreeing):
     points = a.points.copy()
     points[50:] = other.apply(b.points[50:])
     assert align.align(replace(a, points=points), b, MatchOptions()).accepted
+
+
+def test_matches_that_just_miss_a_motion_are_no_rival_of_it(agreeing):
+    # The threshold is 7 mm: 18 mm apart no motion explains both groups, and yet it is one motion.
+    a, b = agreeing
+    points = a.points.copy()
+    points[35:] += np.float32(0.018 / math.sqrt(2.0))
+    fit = align.align(replace(a, points=points), b, MatchOptions())
+    assert fit.inlier_count == 35
+    assert fit.accepted
+
+
+def test_the_covariance_allows_for_matches_that_err_together(agreeing):
+    a, b = agreeing
+    points = [features.points.astype(np.float64) for features in agreeing]
+    sigmas = [features.sigmas.astype(np.float64) for features in agreeing]
+    independent = align.fit_rigid(*points, *sigmas, RIGID)
+    covariance = align.align(a, b, MatchOptions()).covariance
+    ratio = np.diag(covariance) / np.diag(independent.covariance)
+    assert np.all((ratio > 4.0) & (ratio < 6.0))
 
 
 def test_points_that_look_of_another_size_are_not_paired():

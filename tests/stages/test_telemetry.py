@@ -110,6 +110,17 @@ def test_an_offset_that_the_motion_leaves_open_is_not_given() -> None:
     assert telemetry.estimate_time_offset((stamps, felt), (moments, seen)) is None
 
 
+@pytest.mark.parametrize(
+    ("bend", "correlation", "given"),
+    [(1000.0, 0.6, True), (400.0, 0.6, False), (1000.0, 0.4, False)],
+)
+def test_a_peak_must_be_narrow_and_correlated(bend: float, correlation: float, given: bool) -> None:
+    # A parabola of this second derivative has a sigma of 0.032 or 0.05 s; two steps are 0.04 s.
+    grid = np.arange(-20, 21) * 0.02
+    found = telemetry._peak(lambda offset: (-0.5 * bend * (offset - 0.1) ** 2, correlation), grid)
+    assert (found is not None) == given
+
+
 def test_what_is_written_is_read(tmp_path: Path) -> None:
     stamps = [0.0, 0.1, 0.2]
     poses = [Pose2(), Pose2(0.1, 0.02, 0.3), Pose2(0.2, 0.05, -3.0)]
