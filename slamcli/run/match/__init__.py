@@ -198,7 +198,7 @@ def _widened(picture: UInt8Array, width: int) -> UInt8Array:
 
 
 def _shown(picture: PairImage, marks: ObstacleMask | None) -> UInt8Array:
-    """Return a picture in colour, what stands on its floor in red."""
+    """Return a picture in colour, obstacles on its floor in red."""
     plain = picture.calibration.unit == "px"
     shown = view.to_colour(picture.frame.image if plain else picture.view.image)
     if marks is None:

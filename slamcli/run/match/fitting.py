@@ -98,7 +98,7 @@ class PairFit:
     trial : RegistrationResult or None
         Result of the search over the pixels, when the features were rejected.
     obstacles : (ObstacleMask, ObstacleMask) or None
-        Where something stands on the floor, in either view; None when nothing fits, or in plain
+        Where an obstacle stands on the floor, in either view; None when nothing fits, or in plain
         pictures.
     obstacle_inliers : int
         How many inliers of the features lie on it; they were left out where that helped.

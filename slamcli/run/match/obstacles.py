@@ -33,10 +33,10 @@ def without_obstacles(
         return fit
     calibration = first.calibration
     levels_a, levels_b = (dense.make_levels(picture.view) for picture in (first, second))
-    shown = _registered(levels_a, levels_b, pose, calibration)
+    view_a_from_view_b = _registered(levels_a, levels_b, pose, calibration)
     marks = (
-        dense.find_obstacles(levels_a, levels_b, shown, calibration),
-        dense.find_obstacles(levels_b, levels_a, invert(shown), calibration),
+        dense.find_obstacles(levels_a, levels_b, view_a_from_view_b, calibration),
+        dense.find_obstacles(levels_b, levels_a, invert(view_a_from_view_b), calibration),
     )
     matches = fit.alignment.matches
     marked = marks[0].marks(fit.first.points[matches[:, 0]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from slamcli.core.camera.footprint import (
     choose_max_range,
     default_metres_per_pixel,
     footprint,
+    footprint_hull,
+    seen_floor,
 )
-from slamcli.core.camera.lens import distort_points, undistort_points
+from slamcli.core.camera.lens import distort_points, undistort_points, undistorted_bounds
 from slamcli.core.camera.mounting import compose_robot_from_image, image_from_robot_homography
 from slamcli.core.camera.projection import project_floor, sampling_map
 from slamcli.core.camera.resolution import floor_sampling, range_sigma, resolution_image
@@ -151,3 +154,21 @@ def test_a_tilt_shifts_far_floor_as_range_sigma_says() -> None:
     moved = apply_homography(after.robot_from_image, pixel)[0]
     shift = math.hypot(1.2, 0.1) - math.hypot(*moved)
     assert shift == pytest.approx(range_sigma(before, [[1.2, 0.1]], tilt)[0], rel=0.01)
+
+
+def test_what_follows_from_a_calibration_is_computed_once_and_cannot_be_changed() -> None:
+    calibration = calibration_of(distortion=(-0.1, 0.0, 0.0, 0.0, 0.0))
+    nearer = replace(calibration, max_range_metres=1.0)
+    for facts in (
+        lambda camera: camera.image_from_robot,
+        undistorted_bounds,
+        seen_floor,
+        footprint_hull,
+        resolution_image,
+    ):
+        found = facts(calibration)
+        assert facts(calibration) is found
+        assert facts(nearer) is not found
+        with pytest.raises(ValueError, match="read-only"):
+            found[0] = 0.0
+    assert np.hypot(*footprint_hull(nearer).T).max() < 1.01
