@@ -48,6 +48,17 @@ def brightness(floor: np.ndarray, wavelength_metres: float) -> np.ndarray:
     return 128 + 50 * np.sin(phase[:, 0]) + 50 * np.cos(phase[:, 1])
 
 
+def test_a_far_view_is_made_where_it_shows_more_floor() -> None:
+    level = calibration_of(pitch_degrees=30.0)
+    far = view.make_far_resampler(level, 0.005)
+    assert far is not None
+    near = view.make_view_resampler(level, 0.005)
+    assert far.grid.metres_per_pixel == 0.01
+    assert far.grid.x_max > 1.5 * near.grid.x_max
+    # A camera that looks down sees all of its floor within the range.
+    assert view.make_far_resampler(calibration_of(pitch_degrees=75.0), 0.005) is None
+
+
 def test_the_view_shows_each_spot_of_the_floor_at_its_place() -> None:
     calibration = calibration_of()
     resampler = view.make_view_resampler(calibration, 0.002)
