@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -21,6 +22,7 @@ from slamcli.core.geometry import apply_homography
 from slamcli.io.calibrations import load_calibration, save_calibration
 from slamcli.run.calibrate import CalibrateOptions
 from slamcli.run.calibrate import calibrate as run_calibrate
+from slamcli.run.calibrate.mountings import choose_best, floor_areas
 from slamcli.stages import calibrate
 
 SQUARE = CalibrateOptions(side_metres=SIDE_METRES)
@@ -263,6 +265,45 @@ def test_several_photos_are_compared_and_the_best_is_written(tmp_path: Path) -> 
     chosen = best.split()[1].removesuffix(",").removesuffix(".png")
     own = load_calibration(tmp_path / f"all_{chosen}.yaml")
     assert load_calibration(tmp_path / "all.yaml").pitch_radians == own.pitch_radians
+
+
+def test_of_mountings_that_resolve_about_as_much_the_one_with_more_features_is_best() -> None:
+    mountings = [(1.0, 10), (0.97, 20), (0.9, 30)]
+    results = [SimpleNamespace(resolved_area=area, feature_count=n) for area, n in mountings]
+    assert choose_best(results)[0] is results[1]
+    assert choose_best(results[::2])[0] is results[0]
+
+
+def test_a_flat_camera_resolves_a_part_of_the_floor_that_it_keeps(tmp_path: Path) -> None:
+    area, resolved = floor_areas(run(Photo(pitch=20.0, height=0.35, centre=(0.9, 0.0)), tmp_path))
+    assert 0.01 * area < resolved < 0.5 * area
+
+
+def notes_of(photo: Photo, folder: Path, options: CalibrateOptions = SQUARE) -> str:
+    picture = save_photo(photo, folder / "square.png")
+    lines = run_calibrate([picture], folder / "out.yaml", options, overwrite=True)
+    return "\n".join(line for line in lines if line.startswith("note: "))
+
+
+def test_sides_that_a_lens_bends_are_reported(tmp_path: Path) -> None:
+    bent = Photo(focal=420.0, centre=(0.45, 0.0), distortion=(-0.3, 0.1, 0.0, 0.0, 0.0))
+    assert "sides bend by up to" in notes_of(bent, tmp_path)
+    assert "bend" not in notes_of(Photo(), tmp_path)
+
+
+def test_corners_that_are_not_those_of_a_square_are_reported(tmp_path: Path) -> None:
+    photo = Photo(focal=560.0)
+    corners = [(float(x), float(y)) for x, y in photo.corners]
+    wrong = [corners[0], corners[1], corners[2], (corners[3][0], corners[3][1] + 10.0)]
+    for given, noted in ((corners, False), (wrong, True)):
+        options = CalibrateOptions(SIDE_METRES, corners=tuple(given))
+        assert ("fits a flat floor only to" in notes_of(photo, tmp_path, options)) == noted
+
+
+def test_a_camera_that_looks_exactly_down_is_refused_even_with_intrinsics() -> None:
+    photo = Photo(pitch=90.0, height=0.6, centre=(0.02, 0.0), yaw=10.0)
+    with pytest.raises(CalibrationError, match="looks straight down"):
+        solve(photo, photo.corners, 0.1, known=True)
 
 
 def blank_photo(folder: Path) -> Path:
