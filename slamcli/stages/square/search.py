@@ -23,8 +23,8 @@ _SEARCH_WIDTH_PIXELS = 960
 _MAX_CANDIDATES = 40
 # How far a candidate's sides may be from the edges, in pixels of that picture.
 _REACH_PIXELS = 6.0
-# Share of the edge profiles that must show the sides; saves the scoring of candidates that the score
-# would reject too (no test depends on its value).
+# Share of the edge profiles that must show the sides: saves scoring what the score would reject too
+# (no test depends on its value).
 _MIN_SUPPORT = 0.45
 # Least score of a square [guarded by tests/stages/test_square.py].
 _MIN_SCORE = 0.03
