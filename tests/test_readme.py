@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import pytest
 
-from slamcli.cli.main import main
+from slamcli.cli.main import COMMANDS, main
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENTS = ("README.md", "samples/README.md", "calibration/README.md")
@@ -24,7 +24,7 @@ LINES = [
 
 def test_every_command_stands_in_the_readme() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    for name in main.commands:
+    for name in COMMANDS:
         assert f"`slam {name}`" in text
 
 
@@ -33,8 +33,10 @@ def test_every_command_line_is_accepted(line: str) -> None:
     words = shlex.split(line, comments=True)[1:]
     if words == ["--help"]:
         return
-    command = main.commands[words[0]]
-    command.make_context(words[0], words[1:], parent=click.Context(main))
+    group = click.Context(main)
+    command = main.get_command(group, words[0])
+    assert command is not None
+    command.make_context(words[0], words[1:], parent=group)
 
 
 def test_the_make_targets_are_there() -> None:

@@ -1,19 +1,18 @@
-"""Progress for the eye: a bar on a terminal, a line now and then in a log."""
+"""Progress display: a bar on a terminal, a few lines per stage in a log."""
 
 from __future__ import annotations
 
 import sys
-from types import TracebackType
 from typing import Any, Self
 
 import click
 from tqdm import tqdm
 
-_LINES_A_STAGE = 5
+_LINES_PER_STAGE = 5
 
 
 class ProgressBar:
-    """Shows how far each stage is; a context manager, as a bar must be closed."""
+    """The progress of each stage; a context manager, as a bar must be closed."""
 
     def __init__(self) -> None:
         self._terminal = sys.stderr.isatty()
@@ -21,9 +20,9 @@ class ProgressBar:
         self._bar: tqdm[Any] | None = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Show that `done` of `total` steps of `stage` are finished."""
+        """Show that `done` of `total` steps of a stage are finished."""
         if not self._terminal:
-            if done == total or done % max(1, total // _LINES_A_STAGE) == 0:
+            if done == total or done % max(1, total // _LINES_PER_STAGE) == 0:
                 click.echo(f"{stage} {done}/{total}", err=True)
             return
         if self._bar is None or stage != self._stage:
@@ -32,19 +31,14 @@ class ProgressBar:
         self._bar.update(done - self._bar.n)
 
     def tell(self, line: str) -> None:
-        """Say something that is not a result."""
+        """Print a line that is not a result."""
         self._close()
         click.echo(line, err=True)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._close()
 
     def _close(self) -> None:

@@ -142,6 +142,28 @@ def test_the_commands_take_the_files(folder, tmp_path):
     assert told["options"]["networks"]["weights"] == str(folder / "aliked.onnx")
 
 
+def test_a_map_of_learned_features_is_rendered_but_not_located_in(folder, tmp_path):
+    frames, output = tmp_path / "frames", tmp_path / "map"
+    frames.mkdir()
+    for name in ("a.png", "b.png"):
+        (frames / name).write_bytes((folder / name).read_bytes())
+    point = ("--features", "aliked", "--weights", folder / "aliked.onnx")
+    done = run("stitch", frames, "-o", output, *point, "--network-size", "256x256")
+    assert done.exit_code == 0, done.output
+    assert "do not take aliked" in done.stdout
+    again = run("render", output, "-o", tmp_path / "again")
+    assert again.exit_code == 0, again.output
+    assert (tmp_path / "again" / "mosaic.pgw").read_bytes() == (output / "mosaic.pgw").read_bytes()
+    for words in (
+        ("locate", output, frames),
+        ("stitch", folder / "a.png", "--extend", output, "-o", tmp_path / "no"),
+    ):
+        result = run(*words)
+        assert result.exit_code == 1
+        assert result.stderr.count("\n") == 1
+        assert "ALIKED features" in result.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

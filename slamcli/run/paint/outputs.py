@@ -162,7 +162,7 @@ def _write_png(what: MapToWrite) -> None:
     world_file.write_nav2_map(
         what.path("mosaic", ".yaml"), path.name, what.grid, what.unit, what.map_from_painted
     )
-    if what.store.stands():
+    if what.store.has_obstacles():
         _write_strips(what, what.path("obstacles", ".png"), _obstacle_strip)
     for name in what.options.layers:
         pixels = np.zeros((what.grid.height, what.grid.width), np.uint16)
@@ -215,12 +215,11 @@ def _write_geotiff(what: MapToWrite) -> None:
         pixels: Callable[[StoredTile], GenericArray | None],
         nodata: float | None,
     ) -> None:
-        blocks = _blocks(what, pixels)
-        path = what.path(stem, ".tif")
-        geotiff.write_geotiff(path, shape, bands, kind, blocks, transform, datum, nodata)
+        layout = geotiff.RasterLayout(shape, bands, kind, transform, datum, nodata)
+        geotiff.write_geotiff(what.path(stem, ".tif"), layout, _blocks(what, pixels))
 
     write("mosaic", 4, "uint8", lambda tile: world_file.transparent(tile.image, tile.mask), None)
-    if what.store.stands():
+    if what.store.has_obstacles():
         write("obstacles", 4, "uint8", lambda tile: tile.obstacles, None)
     for name in what.options.layers:
         kind, nodata = _KINDS[name]

@@ -20,11 +20,7 @@ from slamcli.mapping.mapper import Mapper
 from slamcli.run.calibrate.self_calibration import self_calibrate
 from slamcli.run.frame_loop import finish, registration_of, walk
 from slamcli.run.inputs import Inputs, open_inputs
-from slamcli.run.networks import (
-    LEARNED,
-    with_match_network,
-    with_point_network,
-)
+from slamcli.run.networks import with_match_network, with_point_network
 from slamcli.run.paint import outputs
 from slamcli.run.paint.paint import scenes_of
 from slamcli.run.paint.thumbnails import Thumbnails
@@ -138,8 +134,8 @@ def stitch(
         )
         remove_folder(unfinished)
         write_poses(staging / "poses.csv", estimates)
-        if found.floor_map is not None and options.mapper.features.method not in LEARNED:
-            save_map(staging / MAP_NAME, found.floor_map)
+        if found.floor_map is not None:
+            save_map(staging / MAP_NAME, replace(found.floor_map, sources=tuple(sources)))
         seconds = time.monotonic() - started
         exports.write_exports(staging, options.export, found, mapper)
         report.write_run(

@@ -112,7 +112,7 @@ def report(
     lines = [inputs.note] if inputs.note else []
     method = mapper.options.features.method
     if method in LEARNED:
-        rows.append(("no map.slam", f"slam locate does not take the features of {method}"))
+        rows.append(("map.slam", f"to render; slam locate and --extend do not take {method}"))
     if interrupted:
         lines.append("interrupted: written is what there was; --resume goes on from there")
     lines += [f"{name:<12} {value}" for name, value in rows]

@@ -214,7 +214,7 @@ def test_render_paints_the_same_map_and_others_without_locating(
 def test_render_says_what_is_missing(written: Path, tmp_path: Path, drive: Path) -> None:
     result = run("render", tmp_path, "-o", tmp_path / "out")
     assert result.exit_code == 1
-    assert "run.toml" in result.output
+    assert "map.slam" in result.output
     fewer = tmp_path / "fewer"
     fewer.mkdir()
     shutil.copy(drive / "0003.jpg", fewer)
@@ -400,7 +400,7 @@ def test_a_store_takes_only_what_was_seen_and_finds_it_again(tmp_path: Path) -> 
     store.put(-3, 200000, Tile(grid, image, pixels_per_metre, None, views, latest))
     store.put(5, 5, None)
     again = TileStore(tmp_path, side, ("views",))
-    assert again.places() == [(-3, 200000), (0, 0)]
+    assert again.keys() == [(-3, 200000), (0, 0)]
     assert (5, 5) in again
     assert again.seen_pixels() == 2 * 50 * 70
     assert again.bounds() == (10 - 3 * side, 60, 20, 200000 * side + 90)

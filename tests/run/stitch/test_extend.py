@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -169,11 +170,15 @@ def test_what_cannot_be_added_is_refused(
     assert not (tmp_path / "no").exists()
 
 
-def test_frames_that_are_gone_are_told_of(drives: Path, tmp_path: Path) -> None:
+def move_sources(output: Path, *sources: Path) -> None:
+    """Let the map in a folder say that its frames are elsewhere."""
+    save_map(output / "map.slam", replace(load_map(output), sources=sources))
+
+
+def test_frames_that_are_gone_are_named(drives: Path, tmp_path: Path) -> None:
     moved = tmp_path / "moved"
     shutil.copytree(drives, moved)
-    text = (moved / "out" / "run.toml").read_text()
-    (moved / "out" / "run.toml").write_text(text.replace(str(drives), str(moved)))
+    move_sources(moved / "out", moved / "first")
     (moved / "first" / "3.png").unlink()
     code, output = run("stitch", moved / "later", "--extend", moved / "out", "-o", tmp_path / "no")
     assert code == 1
@@ -182,4 +187,28 @@ def test_frames_that_are_gone_are_told_of(drives: Path, tmp_path: Path) -> None:
     code, output = run("stitch", moved / "later", "--extend", moved / "out", "-o", tmp_path / "no")
     assert code == 1
     assert "put them back" in output
+    assert output.count("\n") == 1
+
+
+def test_the_map_alone_is_extended(drives: Path, tmp_path: Path) -> None:
+    """Nothing but map.slam is read of the earlier run."""
+    alone = tmp_path / "alone.slam"
+    shutil.copy(drives / "out" / "map.slam", alone)
+    outputs = []
+    for number, finished in enumerate((alone, drives / "out")):
+        output = tmp_path / str(number)
+        code, printed = run("stitch", drives / "later", "--extend", finished, "-o", output)
+        assert code == 0, printed
+        outputs.append([(output / name).read_bytes() for name in ("poses.csv", "mosaic.png")])
+    assert outputs[0] == outputs[1]
+
+
+def test_a_map_that_does_not_record_its_frames_is_refused(drives: Path, tmp_path: Path) -> None:
+    shutil.copytree(drives / "out", tmp_path / "old")
+    move_sources(tmp_path / "old")
+    code, output = run(
+        "stitch", drives / "later", "--extend", tmp_path / "old", "-o", tmp_path / "no"
+    )
+    assert code == 1
+    assert "does not record where its frames are" in output
     assert output.count("\n") == 1
