@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from peers import COURSE_START, likeness
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import footprint_hull
 from slamcli.core.config import PaintOptions
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Frame, PosedFrame
@@ -60,7 +60,7 @@ def load(folder: Path) -> Drive:
 
 def estimated_exposure(drive: Drive, frames: list[Frame]) -> Exposure:
     """Return the frames' gains and the lens's vignetting."""
-    hull = projection.footprint_hull(drive.calibration)
+    hull = footprint_hull(drive.calibration)
     step = exposure.comparison_step(drive.calibration)
     observed = []
     for frame, posed in zip(frames, drive.posed_frames, strict=True):

@@ -22,8 +22,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import footprint, footprint_hull
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame
 from slamcli.io.frames import read_image
@@ -121,7 +121,7 @@ class Outcome:
 
 def step_for_overlap(world: World, calibration: Calibration, overlap: float) -> float:
     """Return the step, metres, after which two footprints share `overlap` of their area."""
-    outline = projection.footprint_hull(calibration).astype(np.float32)
+    outline = footprint_hull(calibration).astype(np.float32)
     whole = cv2.contourArea(outline)
     for step in np.arange(0.02, 4.0, 0.01):
         moved = circle(world.radius_metres, float(step), 1)[1].apply(outline.astype(np.float64))
@@ -235,7 +235,7 @@ def plain_motions(
 
     By ORB, ratio test and a partial affine, on the true homography's bird's-eye views.
     """
-    grid = projection.footprint(calibration, Mapper(calibration).metres_per_pixel)
+    grid = footprint(calibration, Mapper(calibration).metres_per_pixel)
     pixel_from_image = grid.pixel_from_metres @ calibration.robot_from_image
     orb = cv2.ORB_create(2000)
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING)

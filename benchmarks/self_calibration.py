@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slamcli.core.camera import projection
+from slamcli.core.camera.footprint import choose_max_range
 from slamcli.io.calibrations import load_calibration, save_calibration
 from slamcli.stages import adjustment
 
@@ -91,9 +91,7 @@ def simulate(folder: Path, world: World, frames: int, size: str, seed: int) -> N
     off = np.zeros(7)
     off[0], off[1], off[3] = math.log1p(FOCAL_SHARE), -K1, math.radians(PITCH_DEGREES)
     wrong = adjustment.changed(right, off)
-    seen = projection.choose_max_range(
-        wrong.camera_matrix, wrong.image_from_robot, wrong.image_size
-    )
+    seen = choose_max_range(wrong.camera_matrix, wrong.image_from_robot, wrong.image_size)
     save_calibration(folder / "wrong.yaml", replace(wrong, max_range_metres=seen))
 
 

@@ -29,8 +29,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scale import repeat
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import choose_max_range, default_metres_per_pixel
+from slamcli.core.camera.mounting import compose_robot_from_image
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import PosedFrame, Tile
 from slamcli.io.calibrations import load_calibration, save_calibration
@@ -52,7 +53,7 @@ def make_calibration() -> Calibration:
     width, height = IMAGE_SIZE
     matrix = np.array([[1600.0, 0, (width - 1) / 2], [0, 1600.0, (height - 1) / 2], [0, 0, 1.0]])
     pitch = math.radians(35.0)
-    robot_from_image = projection.compose_robot_from_image(matrix, 0.3, pitch, 0.0)
+    robot_from_image = compose_robot_from_image(matrix, 0.3, pitch, 0.0)
     image_from_robot = np.linalg.inv(robot_from_image)
     return Calibration(
         camera_matrix=matrix,
@@ -63,7 +64,7 @@ def make_calibration() -> Calibration:
         height_metres=0.3,
         pitch_radians=pitch,
         roll_radians=0.0,
-        max_range_metres=projection.choose_max_range(matrix, image_from_robot, IMAGE_SIZE),
+        max_range_metres=choose_max_range(matrix, image_from_robot, IMAGE_SIZE),
     )
 
 
@@ -272,7 +273,7 @@ def main() -> None:
             (drive / "frames").mkdir()
             make_frames(calibration, arguments.frames, drive / "frames")
             save_calibration(drive / "camera.yaml", calibration)
-        scale = arguments.metres_per_pixel or projection.default_metres_per_pixel(calibration)
+        scale = arguments.metres_per_pixel or default_metres_per_pixel(calibration)
         rows = measure(calibration, list_frames([drive / "frames"])[: arguments.frames], scale)
         print(
             f"{platform.processor() or platform.machine()}, Python {platform.python_version()}, "

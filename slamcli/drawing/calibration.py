@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float64Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import footprint_hull
+from slamcli.core.camera.lens import distort_points, undistort_points
 from slamcli.core.geometry import Grid, apply_homography
 from slamcli.core.records import View
 
@@ -39,7 +40,7 @@ def birdseye_grid(calibration: Calibration, corners: Float64Array) -> Grid:
     corners : (N, 2) float64, metres
         Of the target.
     """
-    points = np.vstack([projection.footprint_hull(calibration), corners])
+    points = np.vstack([footprint_hull(calibration), corners])
     margin = 0.03 * float(np.ptp(points, axis=0).max())
     low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
     ahead, sideways = high - low
@@ -133,7 +134,7 @@ def _draw_floor(outline: Float64Array, calibration: Calibration, birdseye: View)
         _polyline(part, ends, _GRID, closed=False, thickness=1)
         column = _AXIS_PIXELS + round(float(ends[0, 0]))
         _write(canvas, f"{y:g}", (column - 14, floor.shape[0] + 24))
-    undistorted = projection.undistort_points(calibration, outline)
+    undistorted = undistort_points(calibration, outline)
     corners = apply_homography(calibration.robot_from_image, undistorted)
     _polyline(part, _page_pixels(grid, corners), _SQUARE, closed=True)
     cv2.rectangle(part, (0, 0), (part.shape[1] - 1, part.shape[0] - 1), _GRID, 1)
@@ -155,7 +156,7 @@ def _kept_pixels(calibration: Calibration, size: tuple[int, int]) -> BoolArray:
         np.linspace(0, width - 1, size[0]), np.linspace(0, height - 1, size[1])
     )
     points = np.column_stack([columns.ravel(), rows.ravel()])
-    pixels = projection.undistort_points(calibration, points)
+    pixels = undistort_points(calibration, points)
     depth = np.column_stack([pixels, np.ones(len(pixels))]) @ calibration.robot_from_image[2]
     floor = apply_homography(calibration.robot_from_image, pixels)
     with np.errstate(invalid="ignore"):
@@ -174,7 +175,7 @@ def _horizon(calibration: Calibration) -> Float64Array:
     line = np.column_stack([columns, -(a * columns + c) / b])
     # Far outside the image a lens polynomial is not valid.
     near = (line[:, 1] > -0.5 * height) & (line[:, 1] < 1.5 * height)
-    pixels = projection.distort_points(calibration, line[near])
+    pixels = distort_points(calibration, line[near])
     return pixels[(pixels[:, 1] >= 0) & (pixels[:, 1] < height)]
 
 

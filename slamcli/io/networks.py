@@ -182,15 +182,15 @@ class _LightGlue:
 
     def match(
         self,
-        places_a: Float32Array,
-        places_b: Float32Array,
+        positions_a: Float32Array,
+        positions_b: Float32Array,
         descriptors_a: Float32Array,
         descriptors_b: Float32Array,
     ) -> tuple[Int32Array, Float32Array]:
         try:
             with self._lock:
                 # Without picture sizes OpenCV takes the coordinates as they are.
-                self._matcher.setPairInfo(places_a, places_b)
+                self._matcher.setPairInfo(positions_a, positions_b)
                 found = self._matcher.match(descriptors_a, descriptors_b)
         except cv2.error as error:
             raise InputError(

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from slamcli.core.camera.calibration import Calibration
-from slamcli.core.camera.projection import top_down_calibration
+from slamcli.core.camera.calibration import Calibration, top_down_calibration
 from slamcli.core.errors import CalibrationError, FrameError, InputError
 from slamcli.core.records import FloorMap, PoseEstimate
 from slamcli.io.calibrations import load_calibration

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from slamcli.core.arrays import Float64Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.projection import project_floor
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.io import telemetry
@@ -179,7 +179,7 @@ def _place_square(calibration: Calibration, side_metres: float) -> Float64Array:
     margin = _SQUARE_MARGIN_PIXELS
     for distance in np.linspace(0.0, 40 * side_metres, 400):
         corners = Pose2(float(distance), 0.0, _SQUARE_YAW_RADIANS).apply(outline)
-        pixels, seen = projection.project_floor(calibration, corners)
+        pixels, seen = project_floor(calibration, corners)
         low, high = pixels.min(axis=0), pixels.max(axis=0)
         if seen.all() and low.min() > margin and np.all(high < (width - margin, height - margin)):
             return corners

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import default_metres_per_pixel
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.io.raster import world_file
 from slamcli.run.inputs import open_inputs
@@ -35,7 +35,7 @@ def warp(
         InputError also when no frame at all can be warped.
     """
     inputs = open_inputs(sources, calibration_path, max_range_metres=max_range_metres)
-    scale = metres_per_pixel or projection.default_metres_per_pixel(inputs.calibration)
+    scale = metres_per_pixel or default_metres_per_pixel(inputs.calibration)
     resampler = view.make_view_resampler(inputs.calibration, scale)
     grid = resampler.grid
     with frame_outputs(inputs.files, output, (".png", ".pgw"), overwrite=overwrite) as staging:

@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration, Rocking
+from slamcli.core.camera.footprint import choose_max_range
+from slamcli.core.camera.mounting import compose_robot_from_image
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, PoseEstimate
 from slamcli.selfcal.bundle import RegisteredDrive
@@ -77,7 +78,7 @@ def _scaled(link: Link, scale: float) -> Link:
 def with_range(before: Calibration, calibration: Calibration) -> Calibration:
     """Return a calibration with the range of the one before, scaled as its view of the floor is."""
     chosen = [
-        projection.choose_max_range(c.camera_matrix, c.image_from_robot, c.image_size)
+        choose_max_range(c.camera_matrix, c.image_from_robot, c.image_size)
         for c in (before, calibration)
     ]
     return replace(calibration, max_range_metres=before.max_range_metres * chosen[1] / chosen[0])
@@ -126,7 +127,7 @@ def _scaled_camera(found: adjustment.Adjustment, before: Calibration, scale: flo
         calibration,
         height_metres=height,
         max_range_metres=scale * calibration.max_range_metres,
-        robot_from_image=projection.compose_robot_from_image(
+        robot_from_image=compose_robot_from_image(
             calibration.camera_matrix, height, calibration.pitch_radians, calibration.roll_radians
         ),
         height_sigma_metres=scale * before.height_sigma_metres,

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float64Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration, Rocking
+from slamcli.core.camera.resolution import resolution_image
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame, Link
@@ -56,7 +56,7 @@ class Matcher:
         self._calibration, self._poses, self._read = calibration, poses, read
         self._coarsest = coarsest
         self._links = {(min(link.a, link.b), max(link.a, link.b)): link for link in links}
-        usable = projection.resolution_image(calibration) > 0.0
+        usable = resolution_image(calibration) > 0.0
         self._usable = np.where(usable, np.uint8(255), np.uint8(0))
         self._pyramid = lru_cache(maxsize=_KEPT_PYRAMIDS)(self._make_pyramid)
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 import yaml
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import seen_floor
+from slamcli.core.camera.mounting import compose_robot_from_image
 from slamcli.core.errors import CalibrationError
 from slamcli.io.calibrations import (
     CalibrationSource,
@@ -31,7 +32,7 @@ def example(**changes: object) -> Calibration:
         distortion=np.array([-0.21, 1e-05, -2e-17, 0.0, 0.3]),
         distortion_model="plumb_bob",
         image_size=(640, 480),
-        robot_from_image=projection.compose_robot_from_image(matrix, height, pitch, roll),
+        robot_from_image=compose_robot_from_image(matrix, height, pitch, roll),
         height_metres=height,
         pitch_radians=pitch,
         roll_radians=roll,
@@ -181,4 +182,4 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["simulated_square.yaml", "webcam_low.yaml"])
 def test_the_samples_load(name: str) -> None:
     calibration = load_calibration(str(SAMPLES / name))
-    assert projection.seen_floor(calibration).shape[1] == 2
+    assert seen_floor(calibration).shape[1] == 2

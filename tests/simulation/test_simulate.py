@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from trajectories import read_poses, read_rows
 
 from slamcli.cli.main import main
-from slamcli.core.camera import projection
+from slamcli.core.camera.projection import project_floor
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.io.calibrations import load_calibration
 from slamcli.simulation import drive, floors, photograph
@@ -66,7 +66,7 @@ def test_a_photo_shows_a_decal_where_the_camera_model_says() -> None:
     image = photograph.take(photographer, (place, place), 0.0, quiet, np.random.default_rng(0))
     gray = image[..., 0].astype(float)
     rim = [np.linspace(corners[i - 1], corners[i], 20, endpoint=False) for i in range(4)]
-    outline, _ = projection.project_floor(calibration, centre + np.concatenate(rim))
+    outline, _ = project_floor(calibration, centre + np.concatenate(rim))
     moments = cv2.moments(np.clip(gray - gray.min() - 5, 0, None))
     seen = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
     polygon = cv2.moments(outline.astype(np.float32))
@@ -81,7 +81,7 @@ def test_a_box_is_drawn_at_its_pose_and_hides_the_floor_behind() -> None:
     photographer = photograph.Photographer(photograph.World(floor, (box,)), calibration)
     image = photographer.expose(Pose2(), calibration, 0.0)
     red = (image[..., 2] > 100) & (image[..., 0] < 60)
-    base = projection.project_floor(calibration, [[0.6, 0.0]])[0][0]
+    base = project_floor(calibration, [[0.6, 0.0]])[0][0]
     rows, columns = np.nonzero(red)
     assert rows.max() > base[1]
     assert rows.min() < base[1] - 15
@@ -169,7 +169,7 @@ def test_a_room_has_its_walls_where_its_size_says() -> None:
     photographer = photograph.Photographer(photograph.World(floor, room=room), calibration)
     image = photographer.expose(Pose2(0.5, 0.0, 0.0), calibration, 0.0)[..., 1]
     # The wall ahead is 1.5 m away: below its foot the black floor, above it the gray skirting.
-    foot = projection.project_floor(calibration, [[1.5, 0.0]])[0][0]
+    foot = project_floor(calibration, [[1.5, 0.0]])[0][0]
     column, row = round(foot[0]), foot[1]
     assert image[math.floor(row) - 3, column] > 45
     assert image[math.ceil(row) + 3, column] < 30

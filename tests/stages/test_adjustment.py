@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from trajectories import compare, read_poses
 
 from slamcli.cli.main import main
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration, Rocking
 from slamcli.core.camera.mounting import rocked
+from slamcli.core.camera.projection import project_floor
 from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.io.calibrations import (
     CalibrationSource,
@@ -231,7 +231,7 @@ def test_spots_are_found_to_hundredths_of_a_pixel_and_lines_along_one_direction(
 
 def test_the_square_fixes_the_height(true_camera: Calibration, tmp_path: Path) -> None:
     floor = Pose2(0.45, 0.03, 0.2).apply(square_target(0.3)[:, ::-1] * (-1.0, 1.0))
-    corners, seen = projection.project_floor(true_camera, floor)
+    corners, seen = project_floor(true_camera, floor)
     assert seen.all()
     wrong = rocked(true_camera, Rocking(0.0, 0.0, 0.03))
     save_calibration(tmp_path / "a.yaml", wrong, CalibrationSource("p.png", "square", 0.3, corners))

@@ -11,8 +11,12 @@ import pytest
 from floor_pictures import asphalt, forward_camera, photograph
 from numpy.typing import NDArray
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import footprint_hull
+from slamcli.core.camera.lens import undistort_points
+from slamcli.core.camera.mounting import compose_robot_from_image
+from slamcli.core.camera.projection import project_floor
+from slamcli.core.camera.resolution import floor_sampling, resolution_image
 from slamcli.core.config import Blend, PaintOptions
 from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.core.records import Frame, PosedFrame, Tile
@@ -127,7 +131,7 @@ def solved(frames: list[Frame], calibration: Calibration) -> Exposure:
 
 
 def observed(frames: list[Frame], calibration: Calibration) -> list[exposure.FloorBrightness]:
-    hull, step = projection.footprint_hull(calibration), exposure.comparison_step(calibration)
+    hull, step = footprint_hull(calibration), exposure.comparison_step(calibration)
     return [
         exposure.observe(
             cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY), calibration, hull, pose, step
@@ -183,7 +187,7 @@ def test_an_obstacle_in_some_views_is_left_out_of_the_mosaic_and_kept_in_its_own
     calibration = forward_camera()
     place = np.array([[0.72, 0.18], [0.84, 0.18], [0.84, 0.3], [0.72, 0.3]])
     for number in (6, 7):
-        pixels, _ = projection.project_floor(calibration, POSES[number].inverse().apply(place))
+        pixels, _ = project_floor(calibration, POSES[number].inverse().apply(place))
         spoilt = frames[number].image.copy()
         cv2.fillConvexPoly(spoilt, np.rint(pixels).astype(np.int32), (20, 20, 220))
         frames[number] = replace(frames[number], image=spoilt)
@@ -255,7 +259,7 @@ def test_two_views_that_differ_everywhere_decide_nothing() -> None:
 def test_each_frame_may_have_a_tilt_of_its_own() -> None:
     tilted = replace(
         forward_camera(),
-        robot_from_image=projection.compose_robot_from_image(
+        robot_from_image=compose_robot_from_image(
             forward_camera().camera_matrix, 0.3, math.radians(46.0), 0.0
         ),
     )
@@ -272,7 +276,7 @@ def test_a_lens_is_read_through_where_each_point_lies() -> None:
     bent = replace(forward_camera(), distortion=np.array([-0.25, 0.06, 0.001, -0.001, 0.0]))
     straight = forward_camera()
     columns, rows = np.meshgrid(np.arange(640.0), np.arange(480.0))
-    places = projection.undistort_points(bent, np.column_stack([columns.ravel(), rows.ravel()]))
+    places = undistort_points(bent, np.column_stack([columns.ravel(), rows.ravel()]))
     xy = places.astype(np.float32).reshape(480, 640, 2)
     smooth = cv2.GaussianBlur(FLOOR, (0, 0), 4.0)
     seen = photograph(smooth, FLOOR_GRID, straight, POSES[0])
@@ -280,7 +284,7 @@ def test_a_lens_is_read_through_where_each_point_lies() -> None:
     grid = Grid(0.4, 0.2, SCALE, 200, 200)
     read = []
     for calibration, pixels in ((bent, image), (straight, seen)):
-        usable = source_image.border_fade(projection.resolution_image(calibration))
+        usable = source_image.border_fade(resolution_image(calibration))
         made = source_image.make_source_image(pixels, usable, None, 1)
         read.append(sample_image(made, calibration, POSES[0], grid))
     both = (read[0].weight > 0) & (read[1].weight > 0)
@@ -296,7 +300,7 @@ def test_a_coarse_map_lies_where_the_floor_does(scale: float) -> None:
     smooth = cv2.GaussianBlur(FLOOR, (0, 0), 8.0)
     picture = photograph(smooth, FLOOR_GRID, calibration, POSES[0])
     half = cv2.resize(picture, (320, 240), interpolation=cv2.INTER_AREA)
-    usable = source_image.border_fade(projection.resolution_image(calibration))
+    usable = source_image.border_fade(resolution_image(calibration))
     grid = Grid(0.2, 0.2, scale, round(0.4 / scale), round(0.4 / scale))
     whole, halved = (
         sample_image(
@@ -355,7 +359,7 @@ def test_weight_grows_with_resolution_and_fades_at_the_border() -> None:
     grid = painter.extent([Pose2()])
     near, far = (grid.pixel_from_metres @ (x, 0.0, 1.0) for x in (0.3, 0.6))
     weights = [look.weight[round(p[1]), round(p[0])] for p in (near, far)]
-    sampled = projection.floor_sampling(calibration, [(0.3, 0.0), (0.6, 0.0)])
+    sampled = floor_sampling(calibration, [(0.3, 0.0), (0.6, 0.0)])
     np.testing.assert_allclose(weights, 1.0 / np.sqrt(sampled.prod(axis=1)), rtol=0.01)
 
 

@@ -10,8 +10,8 @@ from itertools import chain
 from pathlib import Path
 
 from slamcli.core.arrays import Float64Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import default_metres_per_pixel, footprint_hull
 from slamcli.core.config import ProductOptions
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.records import PosedFrame, Tile
@@ -31,7 +31,7 @@ from slamcli.stages.mosaic.tiles import TileKey
 
 def make_painter(calibration: Calibration, options: ProductOptions) -> Painter:
     """Return the painter of a camera's frames, as they are lit, at the scale of the map."""
-    default = projection.default_metres_per_pixel
+    default = default_metres_per_pixel
     scale = options.paint.metres_per_pixel or default(calibration)
     return Painter(calibration, scale, options.paint)
 
@@ -130,7 +130,7 @@ def _paint(
 
 def _exposure(scene: Scene, session: Session) -> Exposure:
     """Return every frame's gain and the vignetting, from floor that several frames show."""
-    hull = projection.footprint_hull(scene.calibration)
+    hull = footprint_hull(scene.calibration)
     step = exposure.comparison_step(scene.calibration)
     work = partial(_observe, hull, step)
     observations = []

@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float32Array, Float64Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.lens import distort_points, image_centre
+from slamcli.core.camera.mounting import robot_from_camera_rotation
 from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.simulation.photograph.world import Box
 
@@ -68,16 +69,14 @@ def _box_faces(
 
 def _project(points: Float64Array, calibration: Calibration) -> Float64Array | None:
     """Project (N, 3) robot points, metres, to pixels; None when one is not well ahead."""
-    rotation = projection.robot_from_camera_rotation(
-        calibration.pitch_radians, calibration.roll_radians
-    )
+    rotation = robot_from_camera_rotation(calibration.pitch_radians, calibration.roll_radians)
     rays = (points - (0.0, 0.0, calibration.height_metres)) @ rotation
     if rays[:, 2].min() < 0.05:
         return None
     undistorted = apply_homography(calibration.camera_matrix, rays[:, :2] / rays[:, 2:])
     # Far outside the image the lens polynomial folds back into it.
     reach = 0.9 if np.any(calibration.distortion) else 4.0
-    centre = np.array(projection.image_centre(calibration.image_size))
+    centre = np.array(image_centre(calibration.image_size))
     if np.abs(undistorted - centre).max() > reach * max(calibration.image_size):
         return None
-    return projection.distort_points(calibration, undistorted)
+    return distort_points(calibration, undistorted)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from slamcli.core.arrays import Float32Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.lens import image_centre
 from slamcli.core.geometry import Pose2
 from slamcli.simulation.config import DisturbanceOptions
 from slamcli.simulation.photograph.camera import tilted
@@ -62,7 +62,7 @@ def take(
 def _vignette(calibration: Calibration, share: float) -> Float32Array:
     """Return (H, W, 1): the brightness lost towards the corners, by the square of the radius."""
     width, height = calibration.image_size
-    centre_x, centre_y = projection.image_centre(calibration.image_size)
+    centre_x, centre_y = image_centre(calibration.image_size)
     x, y = np.meshgrid(np.arange(width) - centre_x, np.arange(height) - centre_y)
     radius_squared = (x * x + y * y) / (centre_x**2 + centre_y**2)
     return np.asarray(1.0 - share * radius_squared, np.float32)[..., None]

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.lens import undistorted_coordinates
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.simulation.floors import Floor
 from slamcli.simulation.photograph.boxes import draw_boxes
@@ -49,9 +49,7 @@ class Photographer:
         rows = _along(pixels[1], down.metres_from_pixel[1], down.height, axis=1)
         grid_columns, grid_rows = np.meshgrid(columns, rows)
         if np.any(calibration.distortion):
-            grid_columns, grid_rows = projection.undistorted_coordinates(
-                calibration, grid_columns, grid_rows
-            )
+            grid_columns, grid_rows = undistorted_coordinates(calibration, grid_columns, grid_rows)
         self._columns, self._rows = grid_columns, grid_rows
 
     def expose(

@@ -11,6 +11,12 @@ from scipy.sparse import coo_matrix, csc_matrix
 
 from slamcli.core.arrays import BoolArray, Float64Array, Int64Array
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.robust import (
+    GEMAN_MCCLURE_SIGMAS,
+    NORMAL_MEDIAN,
+    RAYLEIGH_MEDIAN,
+    geman_mcclure_weights,
+)
 from slamcli.stages.adjustment.patch_tracking import Matches
 from slamcli.stages.adjustment.projection import (
     CAMERA_PARAMETERS,
@@ -21,10 +27,6 @@ from slamcli.stages.adjustment.projection import (
 )
 
 # Geman and McClure's scale in sigmas; see stages.align.rigid.
-# [All thresholds here are guarded by benchmarks/self_calibration.py.]
-_KERNEL_SIGMAS = 3.0
-# Median length of a normal error in one direction, and in two.
-_MEDIAN_ONE, _MEDIAN_TWO = 0.6745, math.sqrt(2.0 * math.log(2.0))
 # A match whose one direction is known this much worse than the other lies on a line.
 _LINE_RATIO = 0.3
 _MIN_SCALE = 0.3
@@ -155,7 +157,7 @@ def _linearise_pair(state: BundleState, pair: Matches, unknowns: Int64Array) -> 
         unknowns,
         np.einsum("nij,nj->ni", shrink, plain),
         shrink @ whitening @ jacobian,
-        np.where(line, _MEDIAN_ONE, _MEDIAN_TWO),
+        np.where(line, NORMAL_MEDIAN, RAYLEIGH_MEDIAN),
         plain,
         by_rise,
     )
@@ -203,13 +205,13 @@ def total_cost(
     total = float(np.sum(prior * deviation**2))
     for block in blocks:
         squares = _squares(block, scale)
-        total += float(np.sum(squares / (1.0 + squares / _KERNEL_SIGMAS**2)))
+        total += float(np.sum(squares / (1.0 + squares / GEMAN_MCCLURE_SIGMAS**2)))
     return total
 
 
 def weights(block: Block, scale: float) -> Float64Array:
     """Return (N,): the robust weight of each match (Geman and McClure)."""
-    weights: Float64Array = (1.0 + _squares(block, scale) / _KERNEL_SIGMAS**2) ** -2
+    weights = geman_mcclure_weights(_squares(block, scale) / GEMAN_MCCLURE_SIGMAS**2)
     return weights / scale**2
 
 

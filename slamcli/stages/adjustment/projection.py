@@ -14,8 +14,9 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float64Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration, Rocking
+from slamcli.core.camera.lens import undistort_points
+from slamcli.core.camera.mounting import compose_robot_from_image, robot_from_camera_rotation
 from slamcli.core.geometry import Pose2, apply_homography, invert
 
 # Numbers of parameters, in the order of the Jacobians' columns: of the camera; of a frame, of which
@@ -78,9 +79,7 @@ def changed(calibration: Calibration, change: Float64Array) -> Calibration:
         distortion=distortion,
         pitch_radians=pitch,
         roll_radians=roll,
-        robot_from_image=projection.compose_robot_from_image(
-            matrix, calibration.height_metres, pitch, roll
-        ),
+        robot_from_image=compose_robot_from_image(matrix, calibration.height_metres, pitch, roll),
     )
 
 
@@ -96,7 +95,7 @@ def transfer_with_jacobians(
 ) -> Transfer:
     """Return where b sees the floor that a sees at (N, 2) pixels, and its derivatives."""
     count = len(pixels_a)
-    undistorted = projection.undistort_points(calibration, pixels_a)
+    undistorted = undistort_points(calibration, pixels_a)
     rays = apply_homography(invert(calibration.camera_matrix), undistorted)
     seen_a = _lens(calibration, rays)
     # The lens inverted: what moves the pixel moves the ray the other way.
@@ -191,7 +190,7 @@ def _mounting(calibration: Calibration, rocking: Rocking) -> tuple[float, float,
 
 def _to_floor(calibration: Calibration, rocking: Rocking, rays: Float64Array) -> _FloorPoints:
     pitch, roll, height = _mounting(calibration, rocking)
-    rotation = projection.robot_from_camera_rotation(pitch, roll)
+    rotation = robot_from_camera_rotation(pitch, roll)
     ahead = np.column_stack([rays, np.ones(len(rays))])
     x, y, z = rotation @ ahead.T
     seen = z < 0.0
@@ -223,7 +222,7 @@ def _by_rotation(pitch: float, directions: Float64Array) -> Float64Array:
 
 def _to_ray(calibration: Calibration, rocking: Rocking, points: Float64Array) -> _FloorRays:
     pitch, roll, height = _mounting(calibration, rocking)
-    rotation = projection.robot_from_camera_rotation(pitch, roll)
+    rotation = robot_from_camera_rotation(pitch, roll)
     directions = np.column_stack([points, np.full(len(points), -height)])
     optical = directions @ rotation
     seen = optical[:, 2] > 0.0

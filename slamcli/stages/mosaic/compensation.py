@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float32Array, UInt8Array
-from slamcli.core.camera import projection
+from slamcli.core.camera.lens import image_centre
 from slamcli.stages.mosaic.channels import three_channels
 
 # From this gray on a pixel may be saturated [guarded by benchmarks/blends.py].
@@ -43,7 +43,7 @@ def brightening_image(
     """
     if vignetting == (0.0, 0.0):
         return None
-    centre_x, centre_y = projection.image_centre(image_size)
+    centre_x, centre_y = image_centre(image_size)
     columns, rows = (step * np.arange(-(-(side - 1) // step) + 1) for side in image_size)
     across, down = (columns - centre_x) ** 2, (rows - centre_y) ** 2
     radius = (across[None, :] + down[:, None]) / (centre_x**2 + centre_y**2)

@@ -12,8 +12,9 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from slamcli.core.arrays import Float32Array, Float64Array, Int32Array, Int64Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.lens import image_centre
+from slamcli.core.camera.projection import project_floor
 from slamcli.core.geometry import Pose2
 
 # The floor is sampled at this many points along the usable range
@@ -110,14 +111,14 @@ def observe(
     gray : (h, w) uint8
         The frame's image; may be smaller than the calibration's, of the same shape.
     hull : (N, 2) float64
-        `projection.footprint_hull` of the calibration, or of one much like it.
+        `footprint_hull` of the calibration, or of one much like it.
     """
     corners = map_from_robot.apply(hull) / step_metres
     low, high = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
     columns, rows = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
     points = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.int64)
     floor = map_from_robot.inverse().apply(points * step_metres)
-    pixels, seen = projection.project_floor(calibration, floor)
+    pixels, seen = project_floor(calibration, floor)
     points, pixels = points[seen], pixels[seen]
     width, height = calibration.image_size
     side = max(3, round(gray.shape[1] * _BLUR_SHARE) | 1)
@@ -127,7 +128,7 @@ def observe(
     index = np.rint(pixels * scale).astype(int)
     level = mean[index[:, 1], index[:, 0]].astype(np.float64)
     variance = np.maximum(square[index[:, 1], index[:, 0]] - level**2, 0.0)
-    centre = np.array(projection.image_centre(calibration.image_size))
+    centre = np.array(image_centre(calibration.image_size))
     radius_squared = np.sum((pixels - centre) ** 2, axis=1) / float(centre @ centre)
     usable = (level > _DARKEST_GRAY) & (level < _BRIGHTEST_GRAY)
     contrast = np.sqrt(variance[usable]) / level[usable]

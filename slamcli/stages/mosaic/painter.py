@@ -13,8 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Int32Array, UInt8Array, UInt16Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import footprint_hull
+from slamcli.core.camera.projection import project_floor
+from slamcli.core.camera.resolution import floor_sampling, resolution_image
 from slamcli.core.config import PaintOptions
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Frame, PosedFrame, Tile
@@ -66,8 +68,8 @@ class Painter:
         self.calibration = calibration
         self.metres_per_pixel = metres_per_pixel
         self.options = options or PaintOptions()
-        self.hull = projection.footprint_hull(calibration)
-        self._usable = source_image.border_fade(projection.resolution_image(calibration))
+        self.hull = footprint_hull(calibration)
+        self._usable = source_image.border_fade(resolution_image(calibration))
         coarsest = metres_per_pixel * tiles.CELL_PIXELS
         self._depth = source_image.pyramid_depth(calibration, coarsest)
         self.halves = source_image.may_be_halved(calibration, metres_per_pixel)
@@ -211,8 +213,8 @@ class Painter:
         for index, number in enumerate(numbers):
             posed = posed_frames[number]
             floor = posed.map_from_robot.inverse().apply(probes)
-            _, seen = projection.project_floor(posed.calibration, floor)
-            sampled = projection.floor_sampling(posed.calibration, floor[seen])
+            _, seen = project_floor(posed.calibration, floor)
+            sampled = floor_sampling(posed.calibration, floor[seen])
             pixels_per_metre[index, seen] = 1.0 / np.sqrt(sampled.prod(axis=1))
         rank = np.argsort(
             np.argsort(-pixels_per_metre, axis=0, kind="stable"), axis=0, kind="stable"

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.lens import distort_points, undistorted_bounds
 from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.stages.mosaic.source_image import SourceImage
 
@@ -121,14 +121,14 @@ def _lens_map(
     pixels = np.column_stack([columns.ravel(), rows.ravel()])
     undistorted = apply_homography(homography, pixels)
     depth = pixels @ homography[2, :2] + homography[2, 2]
-    low, high = projection.undistorted_bounds(calibration)
+    low, high = undistorted_bounds(calibration)
     # Far outside the image the lens polynomial folds back into it; near its border it does not.
     slack = 0.05 * (high - low)
     outside = (depth <= 0) | ~np.all(
         (undistorted >= low - slack) & (undistorted <= high + slack), axis=1
     )
     undistorted[outside] = low
-    distorted = projection.distort_points(calibration, undistorted)
+    distorted = distort_points(calibration, undistorted)
     distorted[outside] = _OUT_OF_SIGHT
     lattice = distorted.reshape(down, across, 2).astype(np.float32)
     matrix = np.array([[1.0 / step, 0.0, 0.0], [0.0, 1.0 / step, 0.0]])

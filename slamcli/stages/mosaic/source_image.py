@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float32Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import seen_floor
+from slamcli.core.camera.resolution import floor_sampling
 from slamcli.stages.mosaic.compensation import brightening_image
 
 # Over this many pixels towards the border of the usable region the weight falls to 0, so that a
@@ -60,7 +61,7 @@ def border_fade(pixels_per_metre: Float32Array) -> UInt8Array:
     Parameters
     ----------
     pixels_per_metre : (H, W) float32
-        From `projection.resolution_image`: 0 where no floor is seen.
+        From `resolution_image`: 0 where no floor is seen.
     """
     usable = np.pad(np.where(pixels_per_metre > 0, np.uint8(255), np.uint8(0)), 1)
     distance = cv2.distanceTransform(usable, cv2.DIST_L2, 3)[1:-1, 1:-1]
@@ -142,6 +143,6 @@ def may_be_halved(calibration: Calibration, metres_per_pixel: float) -> bool:
 
 def _resolution_range(calibration: Calibration) -> tuple[float, float]:
     """Return the lowest and the highest resolution of the floor in an image, pixels per metre."""
-    floor = projection.seen_floor(calibration)
-    spacing = np.sqrt(projection.floor_sampling(calibration, floor).prod(axis=1))
+    floor = seen_floor(calibration)
+    spacing = np.sqrt(floor_sampling(calibration, floor).prod(axis=1))
     return 1.0 / float(spacing.max()), 1.0 / float(spacing.min())

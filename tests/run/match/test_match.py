@@ -85,7 +85,7 @@ def test_a_rigid_model_cannot_fit_another_scale(pictures):
     assert "no fit" in result.stdout.splitlines()[-1]
 
 
-def test_strangers_are_told_apart_in_one_line(pictures, tmp_path):
+def test_different_scenes_are_rejected_in_one_line(pictures, tmp_path):
     drawing = tmp_path / "no.png"
     result = run(pictures / "first picture.png", pictures / "other.png", "-o", drawing)
     assert result.exit_code == 1
@@ -96,7 +96,7 @@ def test_strangers_are_told_apart_in_one_line(pictures, tmp_path):
     assert drawing.exists()
 
 
-def test_a_fit_that_the_pixels_contradict_is_not_believed(pictures, monkeypatch):
+def test_a_fit_that_the_pixels_contradict_is_rejected(pictures, monkeypatch):
     for correlation, words in ((0.1, "do not look alike"), (math.nan, "too little to confirm")):
         monkeypatch.setattr(
             local_correlation, "local_correlation", lambda *_, value=correlation: value
@@ -147,9 +147,9 @@ def test_calibrated_pictures_in_metres(tmp_path):
     np.testing.assert_allclose(
         facts["second_from_first"], truth.inverse().matrix, atol=1e-3, rtol=0
     )
-    told = run(*arguments, "-o", tmp_path / "match.png").stdout
-    assert "the robot moved x 0.0" in told
-    assert "mm" in told
+    printed = run(*arguments, "-o", tmp_path / "match.png").stdout
+    assert "the robot moved x 0.0" in printed
+    assert "mm" in printed
 
 
 def test_equal_runs_print_equal_bytes(pictures):
