@@ -1,4 +1,4 @@
-"""What the back-end costs as a map grows: places, poses and their covariances, without pixels.
+"""Cost of the back end as a map grows: place recognition, poses and covariances, without pixels.
 
 Run: python benchmarks/backend.py [--frames N]. A lawnmower over landmarks with binary descriptors,
 an eighth of whose bits differ from view to view; every frame is a keyframe, is linked to the three
@@ -22,6 +22,7 @@ from slamcli.core.geometry import Pose2, pose_array
 from slamcli.core.records import Features, Link, PreparedFrame
 from slamcli.core.telemetry import CompassReading, GpsReading
 from slamcli.mapping.backend.backend import Backend
+from slamcli.mapping.backend.pose_graph import PoseGraph
 from slamcli.mapping.backend.sensors import Sensors
 from slamcli.stages import covisibility
 from slamcli.stages.place_index import PlaceIndex
@@ -38,7 +39,7 @@ LOOP_EVERY = 5
 class Cost(NamedTuple):
     """Seconds of one frame."""
 
-    places: float
+    place_recognition: float
     poses: float
 
 
@@ -86,13 +87,13 @@ class World:
         )
 
     def link(self, a: int, b: int, kind: str = "step") -> Link:
-        """Return the motion between two frames, with the noise that it claims."""
+        """Return the motion between two frames, with noise of its covariance."""
         noise = np.random.default_rng([2, a, b]).normal(0, 1, 3) * SIGMAS
         motion = self.poses[a].inverse() @ self.poses[b] @ Pose2(*noise.tolist())
         return Link(a, b, motion, np.diag(SIGMAS**2), 100, 0.9, kind)  # type: ignore[arg-type]
 
-    def feel(self, sensors: Sensors, index: int) -> None:
-        """Give a compass's and a GPS reading of a frame."""
+    def sense(self, sensors: Sensors, index: int) -> None:
+        """Add a compass and a GPS reading of a frame."""
         generator = np.random.default_rng([3, index])
         pose, stamp = self.poses[index], index / FRAMES_A_SECOND
         heading = pose.theta + generator.normal(0, math.radians(3))
@@ -101,27 +102,27 @@ class World:
         sensors.gps(GpsReading(stamp, north / METRES_A_DEGREE, east / METRES_A_DEGREE, 2.0))
 
 
-def drive(world: World, graph: Backend) -> list[Cost]:
-    """Return what each frame costs, as it comes."""
+def drive(world: World, backend: Backend) -> list[Cost]:
+    """Return the cost of each frame, as it comes."""
     index, costs = PlaceIndex(), []
     for number in range(len(world.poses)):
         features = world.look(number)
         prepared = PreparedFrame(number, str(number), number / FRAMES_A_SECOND, None, features, "")
         links = [world.link(a, number) for a in range(max(0, number - 3), number)]
-        world.feel(graph.sensors, number)
+        world.sense(backend.sensors, number)
         started = time.process_time()
         index.query(features, frozenset(range(number - 5, number)))
         index.add(number, features)
         between = time.process_time()
         if links:
-            graph.place(prepared, links)
+            backend.place(prepared, links)
         else:
-            graph.begin_fragment(prepared)
+            backend.begin_fragment(prepared)
         costs.append(Cost(between - started, time.process_time() - between))
     return costs
 
 
-def stream(world: World, graph: Backend) -> list[float]:
+def stream(world: World, backend: Backend) -> list[float]:
     """Return the seconds that each frame's poses cost where loops are closed as they come."""
     a_lane, costs = round(LANE_LENGTH_METRES / STEP_METRES), []
     for number in range(len(world.poses)):
@@ -133,17 +134,17 @@ def stream(world: World, graph: Backend) -> list[float]:
             loops = [world.link(beside, number, "loop")]
         started = time.process_time()
         if links:
-            graph.place(prepared, links)
+            backend.place(prepared, links)
         else:
-            graph.begin_fragment(prepared)
+            backend.begin_fragment(prepared)
         if loops:
-            graph.tie(number, loops)
+            backend.add_links(number, loops)
         costs.append(time.process_time() - started)
     return costs
 
 
-def close(world: World, graph: Backend) -> tuple[int, float]:
-    """Link what the poses say sees the same floor; return how many candidates, and the seconds."""
+def find_loops(world: World, graph: PoseGraph) -> tuple[int, list[Link], float]:
+    """Return how many pairs see the same floor by the poses, their links, and the seconds."""
     started = time.process_time()
     calibration = top_down_calibration((128, 128))
     # Its views are as many metres wide as pixels.
@@ -163,12 +164,11 @@ def close(world: World, graph: Backend) -> tuple[int, float]:
         candidates += len(far)
         loops += far[:1] and [(far[0], pairs.b)]
     seconds = time.process_time() - started
-    graph.links += [world.link(a, b, "loop") for a, b in loops]
-    return candidates, seconds
+    return candidates, [world.link(a, b, "loop") for a, b in loops], seconds
 
 
 def peak_megabytes() -> float:
-    """Return the most memory that this process has held."""
+    """Return the peak memory of this process."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
@@ -179,26 +179,27 @@ def main() -> None:
     count = parser.parse_args().frames
     world = World(lawnmower(count))
     base = peak_megabytes()
-    graph = Backend(Sensors())
-    costs = drive(world, graph)
-    print(f"| frames | ms a frame, places | poses | worst of a frame |\n{'|---' * 4}|")
+    backend = Backend(Sensors())
+    costs = drive(world, backend)
+    print(f"| frames | ms a frame, place recognition | poses | worst of a frame |\n{'|---' * 4}|")
     tenth = max(1, count // 10)
     for first in range(0, count, tenth):
         some = np.array(costs[first : first + tenth]) * 1e3
-        places, poses = some.mean(axis=0)
+        recognition, poses = some.mean(axis=0)
         worst = some.sum(axis=1).max()
-        print(f"| to {first + len(some)} | {places:.2f} | {poses:.2f} | {worst:.0f} |")
+        print(f"| to {first + len(some)} | {recognition:.2f} | {poses:.2f} | {worst:.0f} |")
     means = np.array(costs).sum(axis=1)
     share = means[-tenth:].mean() / means[:tenth].mean()
-    candidates, search = close(world, graph)
+    candidates, loops, search = find_loops(world, backend.graph)
     started = time.process_time()
-    graph.solve()
+    backend.solve(loops)
     solve = time.process_time() - started
     total = means.sum() + search + solve
     print(f"\nlast tenth to first, a frame: {share:.2f}")
     print(f"candidates by poses: {candidates} in {search:.1f} s")
-    print(f"{len(graph.links)} links and {2 * count} readings solved, covariances: {solve:.1f} s")
-    print(f"whole back-end: {total:.1f} s; peak memory {peak_megabytes() - base:.0f} MB")
+    links = len(backend.graph.links)
+    print(f"{links} links and {2 * count} readings solved, covariances: {solve:.1f} s")
+    print(f"whole back end: {total:.1f} s; peak memory {peak_megabytes() - base:.0f} MB")
     streamed = np.array(stream(world, Backend())) * 1e3
     print(f"\n| frames | ms a frame, loops closed as they come | worst |\n{'|---' * 3}|")
     for first in range(0, count, tenth):

@@ -48,7 +48,7 @@ def comparisons(job: tuple[str, str, int]) -> tuple[str, list[tuple[NDArray[np.f
     results: list[RegistrationResult] = []
     for frame in prepared:
         mapper.step(frame)
-        results += mapper.trials
+        results += mapper.registrations
     results += [
         register(first, second, None, calibration, mapper.options, window=dense.SearchWindow())
         for apart in (1, FAR)

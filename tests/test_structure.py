@@ -30,7 +30,7 @@ TOP = max(FLOORS.values())
 ONE_ROOM = {
     "dask": ("run/session/cluster",),
     "distributed": ("run/session/cluster",),
-    "gtsam": ("stages/posegraph/gtsam_solver",),
+    "gtsam": (),
     "pyproj": ("stages/geodesy",),
     "rasterio": ("io/raster/geotiff",),
     "tqdm": ("cli/progress",),

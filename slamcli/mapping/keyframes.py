@@ -1,7 +1,7 @@
-"""Keyframes as they are kept: a twentieth of what comparing two of them needs in memory.
+"""Keyframes: compressed storage, a cache of decoded ones, and the database that finds them.
 
-The pixels of a view are kept at half resolution, where comparing them starts, as a JPEG whose
-error is below a camera's own noise; the pyramid is made anew from them.
+The pixels of a view are stored at half resolution, where registration starts, as a JPEG whose error
+is below a camera's noise; the pyramid is computed from them: a twentieth of the memory.
 """
 
 from __future__ import annotations
@@ -16,19 +16,22 @@ import numpy as np
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid
-from slamcli.core.records import Keyframe, PreparedFrame
+from slamcli.core.records import Features, Keyframe, PreparedFrame
 from slamcli.stages import dense
+from slamcli.stages.place_index import PlaceCandidate, PlaceIndex
 
+# Correlations of a decoded keyframe differ by less than 0.02 from those of the frame.
+# [guarded by tests/mapping/test_loop_closure.py]
 _JPEG_QUALITY = 90
-# An expanded keyframe takes some megabytes; a few stand ready. Most cameras' views have one mask.
-_MAX_READY, _MAX_MASKS = 16, 4
+# A decoded keyframe takes some megabytes. Most cameras' views have one mask.
+_MAX_DECODED, _MAX_MASKS = 16, 4
 
 
 def encode_keyframe(prepared: PreparedFrame) -> Keyframe:
-    """Return a prepared frame, which has features and levels, as it is kept."""
+    """Return a prepared frame, which has features and levels, compressed."""
     assert prepared.features is not None
     features, first = prepared.features, prepared.levels[0]
-    # OpenCV's SIFT counts in whole numbers, a quarter the size as bytes.
+    # OpenCV's SIFT descriptors are whole numbers, a quarter the size as bytes.
     whole = np.clip(features.descriptors, 0, 255).astype(np.uint8)
     if np.array_equal(whole, features.descriptors):
         features = replace(features, descriptors=whole)
@@ -46,10 +49,9 @@ def encode_keyframe(prepared: PreparedFrame) -> Keyframe:
 
 
 class KeyframeCache:
-    """Makes keyframes ready to be compared again, the latest few only once; threads may share it.
+    """Least-recently-used cache of decoded keyframes; threads may share it.
 
-    A copy or a saved state begins with none of them ready: they are much larger than what they are
-    made from.
+    A copy or a pickle of it is empty: decoded keyframes are much larger than compressed ones.
 
     Parameters
     ----------
@@ -60,7 +62,7 @@ class KeyframeCache:
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
         stencils = lru_cache(maxsize=_MAX_MASKS)(partial(_stencils, grid))
-        self._ready = lru_cache(maxsize=_MAX_READY)(partial(_expand, grid, stencils))
+        self._decoded = lru_cache(maxsize=_MAX_DECODED)(partial(_decode_keyframe, grid, stencils))
 
     def __reduce__(self) -> tuple[type[KeyframeCache], tuple[Grid]]:
         return KeyframeCache, (self.grid,)
@@ -71,17 +73,74 @@ class KeyframeCache:
         Raises
         ------
         FrameError
-            When its pictures are not of the grid's views.
+            When its images are not of the grid's views.
         """
-        return self._ready(keyframe)
+        return self._decoded(keyframe)
 
 
-def _expand(
+class KeyframeDatabase:
+    """All keyframes of a map, in the order of insertion, found again by their descriptors.
+
+    Parameters
+    ----------
+    grid : Grid
+        Of the views.
+    seed : int
+        Of the place index.
+    """
+
+    def __init__(self, grid: Grid, seed: int) -> None:
+        self._cache = KeyframeCache(grid)
+        self._places = PlaceIndex(seed)
+        self._keyframes: dict[int, Keyframe] = {}
+        self._number: dict[int, int] = {}
+        self.order: list[int] = []
+
+    def __contains__(self, index: int) -> bool:
+        return index in self._number
+
+    @property
+    def keyframes(self) -> list[Keyframe]:
+        """All of them, in the order of insertion."""
+        return list(self._keyframes.values())
+
+    def add(self, keyframe: Keyframe) -> None:
+        """Insert a keyframe."""
+        self._number[keyframe.index] = len(self.order)
+        self.order.append(keyframe.index)
+        self._keyframes[keyframe.index] = keyframe
+        self._places.add(keyframe.index, keyframe.features)
+
+    def query(
+        self, features: Features, excluded: frozenset[int] = frozenset()
+    ) -> list[PlaceCandidate]:
+        """Return the keyframes that look like a frame, most votes first."""
+        return self._places.query(features, excluded)
+
+    def decode(self, index: int) -> PreparedFrame:
+        """Return a keyframe ready for registration."""
+        return self._cache.decode(self._keyframes[index])
+
+    def latest(self, count: int) -> frozenset[int]:
+        """Return the latest keyframes."""
+        return frozenset(self.order[-count:])
+
+    def before(self, index: int) -> int | None:
+        """Return the keyframe that was inserted before another; None for the first."""
+        number = self._number[index]
+        return self.order[number - 1] if number else None
+
+    def steps_between(self, a: int, b: int) -> int:
+        """Return how many keyframes after a the keyframe b was inserted."""
+        return self._number[b] - self._number[a]
+
+
+def _decode_keyframe(
     grid: Grid, stencils_of: Callable[[bytes], Sequence[dense.LevelMask]], keyframe: Keyframe
 ) -> PreparedFrame:
-    image, stencils = _decode(keyframe.image, grid), stencils_of(keyframe.mask)
+    image, stencils = _decode_image(keyframe.image, grid), stencils_of(keyframe.mask)
     if image is None or not stencils:
-        raise FrameError(f"keyframe {keyframe.name}: its pictures cannot be used")
+        raise FrameError(f"keyframe {keyframe.name}: its images cannot be used")
     levels = dense.levels_from_half(image, stencils, grid)
     features = keyframe.features
     if features.norm == "l2":
@@ -98,13 +157,13 @@ def _expand(
 
 
 def _stencils(grid: Grid, encoded: bytes) -> tuple[dense.LevelMask, ...]:
-    """Return the stencils of a keyframe's mask; none when it cannot be used."""
-    mask = _decode(encoded, grid)
+    """Return the level masks of a keyframe's mask; none when it cannot be used."""
+    mask = _decode_image(encoded, grid)
     return () if mask is None else dense.stencils_from_half(mask)
 
 
-def _decode(encoded: bytes, grid: Grid) -> UInt8Array | None:
-    """Return the gray picture of a JPEG or PNG; None when it is none of a grid's views, halved."""
+def _decode_image(encoded: bytes, grid: Grid) -> UInt8Array | None:
+    """Return the gray image of a JPEG or PNG; None when its size is not half that of a view."""
     try:
         picture = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_GRAYSCALE)
     except cv2.error:

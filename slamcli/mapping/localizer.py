@@ -1,4 +1,4 @@
-"""Where a single frame is in a finished map, or that it is not there."""
+"""Localisation of single frames in a finished map."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from dataclasses import replace
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.config import MapperOptions
 from slamcli.core.records import FloorMap, Frame, PoseEstimate, PreparedFrame
-from slamcli.mapping.backend.backend import Backend, lost
-from slamcli.mapping.mapper import Mapper
+from slamcli.mapping.backend.pose_graph import PoseGraph, lost
+from slamcli.mapping.keyframes import KeyframeDatabase
+from slamcli.mapping.preprocessing import Preprocessor
 from slamcli.mapping.relocalization import Relocalizer
 
 
@@ -29,13 +30,14 @@ class Locator:
             metres_per_pixel=floor_map.metres_per_pixel,
             tilt_sigma_degrees=floor_map.tilt_sigma_degrees,
         )
-        self._mapper = Mapper(floor_map.calibration, options)
-        self._known = Relocalizer(floor_map.calibration, options, self._mapper.grid)
-        self._graph = Backend()
+        self._preprocessor = Preprocessor(floor_map.calibration, options)
+        database = KeyframeDatabase(self._preprocessor.grid, options.matching.seed)
+        self._relocalizer = Relocalizer(floor_map.calibration, options, database)
+        self._graph = PoseGraph()
         for keyframe in floor_map.keyframes:
-            self._known.add(keyframe)
+            database.add(keyframe)
         for estimate in floor_map.estimates:
-            self._graph.adopt(estimate)
+            self._graph.set_estimate(estimate)
         self._count = 0
 
     def locate(self, frame: Frame | UInt8Array) -> PoseEstimate:
@@ -58,14 +60,14 @@ class Locator:
 
     def prepare(self, frame: Frame) -> PreparedFrame:
         """Compute all that needs no map; may run ahead on any thread. Never raises."""
-        return self._mapper.prepare(frame)
+        return self._preprocessor.prepare(frame)
 
     def place(self, prepared: PreparedFrame) -> PoseEstimate:
-        """Look a prepared frame up."""
+        """Return where a prepared frame is on the map, as `locate`."""
         if prepared.features is None:
             return lost(prepared, prepared.reason)
-        places = self._known.query(prepared.features)
-        found = self._known.verify(prepared, places, self._graph)
-        if found.trial is None or found.trial.link is None:
+        candidates = self._relocalizer.query(prepared.features)
+        found = self._relocalizer.verify(prepared, candidates, self._graph)
+        if found.link is None:
             return lost(prepared, found.reason)
-        return self._graph.predict_pose(prepared, [found.trial.link])
+        return self._graph.predict_pose(prepared, [found.link])

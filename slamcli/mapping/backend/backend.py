@@ -1,8 +1,4 @@
-"""What is known so far: every frame's estimate, every link between two, and the weighing of them.
-
-The loop (`slamcli.mapping.mapper`) decides which links are believed; here they place frames,
-connect fragments and are solved. No file, thread, clock or print.
-"""
+"""The back end: inserts frames and links into the pose graph and keeps it optimised."""
 
 from __future__ import annotations
 
@@ -11,184 +7,166 @@ from dataclasses import replace
 
 import numpy as np
 
-from slamcli.core.arrays import Float64Array
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, PoseEstimate, PreparedFrame
-from slamcli.core.telemetry import Georeference
-from slamcli.mapping.backend.pose_graph import PoseGraph
+from slamcli.mapping.backend.optimizer import BatchOptimizer
+from slamcli.mapping.backend.pose_graph import PoseGraph, lost, most_certain, tracked
 from slamcli.mapping.backend.sensors import Sensors
 from slamcli.mapping.backend.smoother import FixedLagSmoother
 from slamcli.stages import posegraph
 
-SAME_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
+# Of poses that are equal by definition (m, rad): the equations need a covariance above 0.
+_SAME_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
 
 
-class Backend(PoseGraph):
-    """Places frames by the links that tie them, and weighs all that is known of them."""
+class Backend:
+    """The pose graph with its sensors and optimisers.
+
+    Parameters
+    ----------
+    sensors : Sensors or None
+        Readings of odometry, compass and GPS; None for none.
+
+    Attributes
+    ----------
+    graph : PoseGraph
+        To be read; only the back end changes it.
+    sensors : Sensors
+    """
 
     def __init__(self, sensors: Sensors | None = None) -> None:
-        super().__init__()
+        self.graph = PoseGraph()
         self.sensors = sensors or Sensors()
-        self._smoother = FixedLagSmoother(self, self.sensors)
+        self._smoother = FixedLagSmoother(self.sensors)
         self._next_fragment = 0
 
-    @property
-    def switched_off(self) -> frozenset[int]:
-        """Places in `links` of those that the others contradict, as of the latest solution."""
-        return self._smoother.switched_off
-
-    @property
-    def georeferences(self) -> dict[int, Georeference]:
-        """Where on Earth each fragment that GPS tells of lies, as of the latest solution."""
-        return self._smoother.georeferences
-
     def begin_fragment(self, prepared: PreparedFrame) -> PoseEstimate:
-        """Make a frame the origin of a map of its own, unless odometry has carried it here."""
-        known = self.get(prepared.index)
+        """Make a frame the origin of a new fragment, unless odometry has placed it already."""
+        known = self.graph.get(prepared.index)
         if known is not None and known.map_from_robot is not None:
             return known
         fragment = self._next_fragment
         self._next_fragment += 1
         odom = self._odom_after(prepared, None)
-        begun = _estimate(prepared, Pose2(), fragment, SAME_POSE_COVARIANCE)
-        return self.set_estimate(replace(begun, odom_from_robot=odom))
+        origin = tracked(prepared, Pose2(), _SAME_POSE_COVARIANCE, fragment)
+        return self.graph.set_estimate(replace(origin, odom_from_robot=odom))
 
-    def adopt(self, estimate: PoseEstimate) -> None:
-        """Take over what an earlier run knew of a frame."""
-        self.set_estimate(estimate)
-        self._next_fragment = max(self._next_fragment, estimate.fragment + 1)
+    def add_map(self, estimates: Sequence[PoseEstimate], links: Sequence[Link]) -> None:
+        """Insert the frames and links of a finished map."""
+        for estimate in estimates:
+            self.graph.set_estimate(estimate)
+            self._next_fragment = max(self._next_fragment, estimate.fragment + 1)
+        self.graph.add_links(links)
 
     def place(self, prepared: PreparedFrame, links: Sequence[Link]) -> PoseEstimate:
-        """Place a frame by the surest of its links; those to another fragment join the two."""
-        odom = self._odom_after(prepared, min(links, key=_uncertainty))
-        self.set_estimate(replace(self.predict_pose(prepared, links), odom_from_robot=odom))
+        """Insert a frame by the most certain of its links; links to another fragment join both."""
+        odom = self._odom_after(prepared, most_certain(links))
+        predicted = self.graph.predict_pose(prepared, links)
+        self.graph.set_estimate(replace(predicted, odom_from_robot=odom))
         self.add_links(prepared.index, links)
-        return self[prepared.index]
-
-    def predict_pose(self, prepared: PreparedFrame, links: Sequence[Link]) -> PoseEstimate:
-        """Return where the surest of its links to known frames puts a frame, which is not kept."""
-        link = min(links, key=_uncertainty)
-        origin = self[link.a]
-        assert origin.covariance is not None
-        pose = self.pose(link.a) @ link.a_from_b
-        covariance = posegraph.compose_covariance(origin.covariance, link.a_from_b, link.covariance)
-        placed = _estimate(prepared, pose, origin.fragment, covariance)
-        return replace(placed, inliers=link.inliers, score=link.score)
+        return self.graph[prepared.index]
 
     def add_links(self, index: int, links: Sequence[Link]) -> None:
-        """Add links of a placed frame; those to another fragment join the two."""
-        self.links += links
-        if moved := self._smoother.on_frame(index, links):
-            self.revise(index, moved)
-
-    def odometry_between(
-        self, index: int, prepared: PreparedFrame
-    ) -> tuple[Pose2, Float64Array] | None:
-        """Return how far odometry says a frame is from an earlier one, and how surely."""
-        now = lost(prepared, "")
-        link = self.sensors.link(self[index], now)
-        return None if link is None else (link.a_from_b, link.covariance)
+        """Add links of a frame that is placed; links to another fragment join both."""
+        self.graph.add_links(links)
+        update = self._smoother.on_frame(self.graph, index, links)
+        if update is not None:
+            self.graph.apply(update)
+            self.add_revised(index, [e.index for e in update.estimates if e.index != index])
 
     def add_duplicate(self, before: PreparedFrame, prepared: PreparedFrame) -> PoseEstimate:
-        """Give a frame that shows the same picture as the one before it the same estimate.
+        """Insert a frame whose picture equals that of the one before, with the same estimate.
 
-        Unless that one could not be placed by what it shows: a robot may move over bare floor.
+        Not so where the picture did not place that one: a robot may move over bare floor.
         """
-        known = self[before.index]
+        known = self.graph[before.index]
+        reason = known.reason or f"same picture as {before.name}"
         if known.status != "tracked":
-            return self.add_lost(prepared, known.reason or f"same picture as {before.name}")
-        kept = self.set_estimate(
+            return self.add_lost(prepared, reason)
+        estimate = self.graph.set_estimate(
             replace(
                 known,
                 index=prepared.index,
                 name=prepared.name,
                 stamp=prepared.stamp,
-                reason=known.reason or f"same picture as {before.name}",
+                reason=reason,
                 revised=(),
             )
         )
-        same = Link(before.index, prepared.index, Pose2(), SAME_POSE_COVARIANCE, 0, 1.0, "step")
-        self.links.append(same)
-        return kept
+        same = Link(before.index, prepared.index, Pose2(), _SAME_POSE_COVARIANCE, 0, 1.0, "step")
+        self.graph.add_links([same])
+        return estimate
 
     def add_lost(
         self, prepared: PreparedFrame, reason: str, partial: Link | None = None
     ) -> PoseEstimate:
-        """Keep a frame that its picture does not place: predicted by odometry, or lost.
+        """Insert a frame that its picture does not place: predicted by odometry, or lost.
 
         Parameters
         ----------
         prepared : PreparedFrame
         reason : str
         partial : Link or None
-            To a placed frame: what the picture tells of some directions. Odometry fills the others.
+            To a placed frame: the directions that the picture does determine. Odometry determines
+            the others.
         """
-        lacking = lost(prepared, reason)
-        latest = self.latest_placed if partial is None else self[partial.a]
-        link = None if latest is None else self.sensors.link(latest, lacking)
+        latest = self.graph.latest_placed if partial is None else self.graph[partial.a]
+        link = None if latest is None else self.sensors.link(latest, prepared)
         if latest is None or link is None:
-            return self.set_estimate(lacking)
+            return self.graph.set_estimate(lost(prepared, reason))
         if partial is not None:
-            self.links.append(partial)
             link = posegraph.fuse(link, partial)
-        assert latest.covariance is not None
-        pose = self.pose(latest.index) @ link.a_from_b
-        covariance = posegraph.compose_covariance(latest.covariance, link.a_from_b, link.covariance)
-        predicted = _estimate(prepared, pose, latest.fragment, covariance)
+        predicted = tracked(prepared, *self.graph.compose(link), latest.fragment)
         odom = self._odom_after(prepared, None)
-        return self.set_estimate(
+        estimate = self.graph.set_estimate(
             replace(predicted, status="predicted", reason=reason, odom_from_robot=odom)
         )
+        if partial is not None:
+            self.graph.add_links([partial])
+        return estimate
 
-    def revise(self, index: int, others: tuple[int, ...]) -> PoseEstimate:
-        """Note that a frame's coming changed the estimates of others."""
-        known = self[index]
-        return self.set_estimate(replace(known, revised=(*known.revised, *others)))
+    def add_revised(self, index: int, others: Sequence[int]) -> PoseEstimate:
+        """Record in a frame's estimate that its insertion changed those of others."""
+        known = self.graph[index]
+        return self.graph.set_estimate(replace(known, revised=(*known.revised, *others)))
 
-    def solve(self) -> None:
-        """Weigh all that is known, and number the fragments anew, the largest first.
+    def solve(self, loops: Sequence[Link] = ()) -> None:
+        """Optimise the whole graph, and number the fragments anew, the largest first.
 
         Fragments that links, odometry or GPS connect become one; each has its first frame as its
-        origin. A frame that nothing ties to any other is lost; one that only odometry ties to the
+        origin. A frame without a link to any other is lost; one that only odometry connects to the
         others is predicted.
+
+        Parameters
+        ----------
+        loops : sequence of Link
+            Added first.
         """
-        optimizer = self._smoother.optimizer()
+        graph = self.graph
+        graph.add_links(loops)
+        optimizer = BatchOptimizer(graph.estimates, graph.links, self.sensors)
         components = optimizer.components()
-        linked = [component for component in components if len(component) > 1] or components[:1]
+        connected = [component for component in components if len(component) > 1] or components[:1]
         for component in components:
-            if component not in linked:
-                self.set_estimate(lost(self[min(component)], "overlaps no other frame"))
-        linked = optimizer.merge_by_gps(linked)
-        linked.sort(key=lambda component: (-len(component), min(component)))
-        self._smoother.reset()
-        for fragment, initial in enumerate(linked):
-            self._smoother.solve(initial, fragment)
+            if component not in connected:
+                graph.set_estimate(lost(graph[min(component)], "overlaps no other frame"))
+        connected = optimizer.merge_by_gps(connected)
+        connected.sort(key=lambda component: (-len(component), min(component)))
+        graph.clear_solution()
+        for fragment, initial in enumerate(connected):
+            graph.apply(optimizer.solve(initial, fragment))
+        if connected:
+            self._smoother.on_whole_solution(graph)
 
     def _odom_after(self, prepared: PreparedFrame, link: Link | None) -> Pose2:
         """Return ``odom_from_robot`` of a new frame: by its step, else odometry, else unmoved."""
-        latest = self.latest_placed
+        latest = self.graph.latest_placed
         if latest is None or latest.odom_from_robot is None:
             return Pose2()
         if link is not None and link.kind == "step":
-            origin = self[link.a]
+            origin = self.graph[link.a]
             if origin.odom_from_robot is not None and origin.fragment == latest.fragment:
                 return origin.odom_from_robot @ link.a_from_b
-        felt = self.odometry_between(latest.index, prepared)
-        return latest.odom_from_robot if felt is None else latest.odom_from_robot @ felt[0]
-
-
-def lost(frame: PreparedFrame | PoseEstimate, reason: str) -> PoseEstimate:
-    """Return the estimate of a frame that could not be placed."""
-    return PoseEstimate(frame.index, frame.name, frame.stamp, None, "lost", reason)
-
-
-def _estimate(
-    prepared: PreparedFrame, pose: Pose2, fragment: int, covariance: Float64Array
-) -> PoseEstimate:
-    return PoseEstimate(
-        prepared.index, prepared.name, prepared.stamp, pose, "tracked", "", fragment, covariance
-    )
-
-
-def _uncertainty(link: Link) -> float:
-    return float(np.linalg.det(link.covariance))
+        measured = self.sensors.link(latest, prepared)
+        odom = latest.odom_from_robot
+        return odom if measured is None else odom @ measured.a_from_b

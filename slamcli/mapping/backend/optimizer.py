@@ -1,4 +1,4 @@
-"""All that is known weighed at once: what hangs together, and what solves it."""
+"""Batch optimisation of the pose graph, one connected component at a time."""
 
 from __future__ import annotations
 
@@ -10,51 +10,57 @@ import numpy as np
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, PoseEstimate
 from slamcli.core.telemetry import Georeference
+from slamcli.mapping.backend.pose_graph import GraphUpdate
 from slamcli.mapping.backend.sensors import Sensors
 from slamcli.stages import posegraph
-from slamcli.stages.posegraph import SensorOffsets
+from slamcli.stages.posegraph import SensorOffsets, SensorReadings
 
-# A fragment so surely placed on Earth is tied to others that are.
-_SURE_HEADING_RADIANS = 0.1
-_SURE_PLACE_METRES = 1.0
-# One less sure than this is not placed on Earth at all.
-_MIN_SURE_HEADING_RADIANS = 1.0
-# What first poses are walked along, before any other kind.
-_TRUST = {"step": 0, "odometry": 1}
+# Largest sigmas with which GPS connects a fragment to others: an error of them must stay small
+# beside the fragment itself. [guarded by tests/mapping/backend/test_sensors.py]
+_MAX_MERGED_HEADING_SIGMA_RADIANS = 0.1
+_MAX_MERGED_ORIGIN_SIGMA_METRES = 1.0
+# With a larger sigma the map's heading on Earth is unknown: no georeference.
+# [guarded by tests/mapping/backend/test_sensors.py]
+_MAX_HEADING_SIGMA_RADIANS = 1.0
+# Kinds of links in the order in which initial poses are composed along them; loops, which alone
+# may be false, come last.
+_RANK_OF_KIND = {"step": 0, "odometry": 1}
+# Links that do not place a frame by what it shows: odometry has a share in both.
+_NOT_BY_PICTURE = ("odometry", "partial")
 
-Component = dict[int, Pose2]
+InitialPoses = dict[int, Pose2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OptimizedComponent:
-    """The solution of one part.
+    """Solution of one connected component.
 
     Attributes
     ----------
     solution : posegraph.Solution
-    numbers : tuple of int
-        Which of all links it used.
+    links : tuple of int
+        Indices of the links that were used.
     switched_off : frozenset of int
-        Which of those the others contradict.
+        Those of them that the others contradict.
     georeference : Georeference or None
-        None when GPS does not tell where on Earth the part lies.
+        None when GPS does not determine where on Earth the component lies.
     """
 
     solution: posegraph.Solution
-    numbers: tuple[int, ...]
+    links: tuple[int, ...]
     switched_off: frozenset[int]
     georeference: Georeference | None
 
 
 class BatchOptimizer:
-    """Estimates, links and readings, as they are at one moment.
+    """Least-squares optimisation of estimates, links and readings as they are at one moment.
 
     Parameters
     ----------
     estimates : sequence of PoseEstimate
-        One for every frame, in order.
+        One for every frame, sorted by index.
     links : sequence of Link
-    senses : Sensors
+    sensors : Sensors
     """
 
     def __init__(
@@ -64,10 +70,10 @@ class BatchOptimizer:
         self._links = links
         self._sensors = sensors
 
-    def components(self) -> list[Component]:
-        """Return what links and odometry connect: first poses of its frames, from the first one on.
+    def components(self) -> list[InitialPoses]:
+        """Return the initial poses of each component that links and odometry connect.
 
-        Frames before the first that was placed are left out: the map begins there.
+        Frames before the first one that was placed are left out: the map begins there.
         """
         estimates = self._estimates
         chain = self._sensors.chain(list(estimates.values()))
@@ -83,62 +89,96 @@ class BatchOptimizer:
         return components
 
     def optimize(
-        self, initial: Component, held: Collection[int] = (), prior: SensorOffsets | None = None
+        self, initial: InitialPoses, fixed: Collection[int] = (), prior: SensorOffsets | None = None
     ) -> OptimizedComponent:
-        """Solve one part, its first frame at the origin.
+        """Solve one component.
 
         Parameters
         ----------
-        initial : dict
-        held : collection of int
-            Frames that stay where they are, in place of the first one; their readings have been
-            weighed before.
+        initial : dict of frame index to Pose2
+            ``map_from_robot``.
+        fixed : collection of int
+            Frames that stay where they are, in place of the first one; their readings were used by
+            an earlier solution.
         prior : SensorOffsets or None
-            What these told.
+            The offsets by the readings of earlier solutions.
         """
-        numbers = [n for n, link in enumerate(self._links) if link.a in initial]
+        used = [n for n, link in enumerate(self._links) if link.a in initial]
         frames = [
             replace(self._estimates[index], map_from_robot=initial[index], fragment=0)
             for index in sorted(initial)
         ]
-        free = [frame for frame in frames if frame.index not in held]
-        places = self._sensors.places(free)
+        free = [frame for frame in frames if frame.index not in fixed]
+        positions = self._sensors.positions(free)
         lever_arm = self._sensors.options.lever_arm_metres
         solution = posegraph.solve(
             initial,
-            [self._links[n] for n in numbers] + self._sensors.chain(frames),
-            self._sensors.headings(free),
-            places,
-            lever_arm_metres=lever_arm if prior is None else prior.lever_arm_metres,
-            held=held,
-            prior=prior,
+            [self._links[n] for n in used] + self._sensors.chain(frames),
+            SensorReadings(
+                self._sensors.headings(free),
+                positions,
+                lever_arm if prior is None else prior.lever_arm_metres,
+                prior,
+            ),
+            fixed=fixed,
         )
-        off = frozenset(numbers[k] for k in solution.switched_off if k < len(numbers))
-        georeference = self._georeference(solution, len(places))
-        return OptimizedComponent(solution, tuple(numbers), off, georeference)
+        outliers = frozenset(used[k] for k in solution.switched_off if k < len(used))
+        georeference = self._georeference(solution, len(positions))
+        return OptimizedComponent(solution, tuple(used), outliers, georeference)
 
-    def merge_by_gps(self, components: list[Component]) -> list[Component]:
-        """Return the parts, those that GPS places on Earth surely enough made one."""
+    def solve(self, initial: InitialPoses, fragment: int) -> GraphUpdate:
+        """Solve one component, its first frame at the origin, as a numbered fragment."""
+        optimized = self.optimize(initial)
+        solution = optimized.solution
+        used = (self._links[n] for n in set(optimized.links) - optimized.switched_off)
+        by_picture = {
+            end for link in used if link.kind not in _NOT_BY_PICTURE for end in (link.a, link.b)
+        }
+        estimates = []
+        for index in sorted(initial):
+            known = self._estimates[index]
+            tracked = known.status == "tracked" or index in by_picture
+            estimates.append(
+                replace(
+                    known,
+                    map_from_robot=solution.poses[index],
+                    covariance=solution.covariances[index],
+                    fragment=fragment,
+                    status="tracked" if tracked else "predicted",
+                    reason="" if tracked and known.status != "tracked" else known.reason,
+                )
+            )
+        return GraphUpdate(
+            fragment,
+            tuple(estimates),
+            optimized.links,
+            optimized.switched_off,
+            solution.offsets,
+            optimized.georeference,
+        )
+
+    def merge_by_gps(self, components: list[InitialPoses]) -> list[InitialPoses]:
+        """Return the components, those merged into one whose georeferences are certain enough."""
         if len(components) < 2 or self._sensors.datum_degrees is None:
             return components
-        together: Component = {}
+        merged: InitialPoses = {}
         apart = []
         for initial in components:
             optimized = self.optimize(initial)
-            if optimized.georeference is not None and _sure(optimized.georeference):
+            if optimized.georeference is not None and _is_certain(optimized.georeference):
                 here = optimized.georeference.east_north_from_map
-                together.update((k, here @ pose) for k, pose in optimized.solution.poses.items())
+                merged.update((k, here @ pose) for k, pose in optimized.solution.poses.items())
             else:
                 apart.append(initial)
-        if not together:
+        if not merged:
             return apart
-        back = together[min(together)].inverse()
-        return [{index: back @ together[index] for index in sorted(together)}, *apart]
+        back = merged[min(merged)].inverse()
+        return [{index: back @ merged[index] for index in sorted(merged)}, *apart]
 
     def _georeference(self, solution: posegraph.Solution, readings: int) -> Georeference | None:
         offsets, datum = solution.offsets, self._sensors.datum_degrees
         heading_sigma = float(np.sqrt(offsets.east_north_covariance[2, 2]))
-        if datum is None or not readings or heading_sigma > _MIN_SURE_HEADING_RADIANS:
+        if datum is None or not readings or heading_sigma > _MAX_HEADING_SIGMA_RADIANS:
             return None
         return Georeference(
             datum,
@@ -146,17 +186,17 @@ class BatchOptimizer:
             offsets.east_north_covariance,
             offsets.lever_arm_metres,
             readings,
-            len(solution.places_off),
+            len(solution.position_outliers),
         )
 
-    def _initial_poses(self, group: list[int], chain: list[Link]) -> Component:
-        """Return first poses for a group, walked from its first frame.
+    def _initial_poses(self, group: list[int], chain: list[Link]) -> InitialPoses:
+        """Return poses composed from a component's first frame along a spanning tree of its links.
 
-        Along steps where they lead, else odometry, else loops: these alone may be false.
+        Along steps where possible, else odometry, else loops.
         """
         members = set(group)
         links = [link for link in [*self._links, *chain] if {link.a, link.b} <= members]
-        links.sort(key=lambda link: _TRUST.get(link.kind, len(_TRUST)))
+        links.sort(key=lambda link: _RANK_OF_KIND.get(link.kind, len(_RANK_OF_KIND)))
         neighbours: dict[int, list[tuple[int, Pose2]]] = {index: [] for index in group}
         for link in posegraph.spanning(group, links):
             neighbours[link.a].append((link.b, link.a_from_b))
@@ -171,6 +211,7 @@ class BatchOptimizer:
         return poses
 
 
-def _sure(georeference: Georeference) -> bool:
+def _is_certain(georeference: Georeference) -> bool:
     sigmas = np.sqrt(np.diag(georeference.covariance))
-    return bool(sigmas[2] < _SURE_HEADING_RADIANS and sigmas[:2].max() < _SURE_PLACE_METRES)
+    heading, origin = float(sigmas[2]), float(sigmas[:2].max())
+    return heading < _MAX_MERGED_HEADING_SIGMA_RADIANS and origin < _MAX_MERGED_ORIGIN_SIGMA_METRES

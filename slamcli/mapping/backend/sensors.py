@@ -1,4 +1,4 @@
-"""The other senses as links and factors between frames: odometry, compass, GPS."""
+"""Odometry, compass and GPS readings as factors of the pose graph."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from operator import attrgetter
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from numpy.typing import ArrayLike
 
@@ -20,10 +20,26 @@ from slamcli.stages import telemetry
 from slamcli.stages.geodesy import LocalPlane
 from slamcli.stages.posegraph import HeadingReading, PositionReading, SensorOffsets
 
-Kind = TypeVar("Kind", CompassReading, GpsReading)
+Reading = TypeVar("Reading", CompassReading, GpsReading)
 
 _STAMP = attrgetter("stamp")
-_SETTLED_RADIANS = 0.1
+# An angle offset with a smaller sigma is known: from then on windows may take it as a prior.
+# [guarded by tests/mapping/backend/test_sensors.py]
+_MAX_KNOWN_SIGMA_RADIANS = 0.1
+
+
+class StampedFrame(Protocol):
+    """A frame with its time: a `PreparedFrame` or a `PoseEstimate`."""
+
+    @property
+    def index(self) -> int:
+        """Index of the frame."""
+        ...
+
+    @property
+    def stamp(self) -> float | None:
+        """Seconds, or None when it is not known."""
+        ...
 
 
 class Sensors:
@@ -44,17 +60,18 @@ class Sensors:
 
     @property
     def correct_the_map(self) -> bool:
-        """Whether there are readings that tell of more than the motion since the last frame."""
+        """Whether there are absolute readings (compass, GPS), which correct drift."""
         return bool(self._compass or self._gps)
 
-    def are_settled(self, offsets: SensorOffsets) -> bool:
-        """Return whether what all readings share is known well enough to be held nearly still."""
+    def are_known(self, offsets: SensorOffsets) -> bool:
+        """Return whether the offsets that all readings share are known well enough for a prior."""
         east_north = offsets.east_north_covariance
-        compass = not self._compass or offsets.compass_offset_sigma_radians < _SETTLED_RADIANS
-        return compass and (not self._gps or math.sqrt(east_north[2, 2]) < _SETTLED_RADIANS)
+        compass = offsets.compass_offset_sigma_radians < _MAX_KNOWN_SIGMA_RADIANS
+        gps = math.sqrt(east_north[2, 2]) < _MAX_KNOWN_SIGMA_RADIANS
+        return (not self._compass or compass) and (not self._gps or gps)
 
     def shift(self, seconds: float) -> None:
-        """Set by how much the readings' clock differs, before any odometry has come."""
+        """Set the difference of the readings' clock, before the first odometry reading."""
         assert not len(self._track)
         self.options = replace(self.options, time_offset_seconds=seconds)
         self._track = telemetry.OdometryTrack(self.options)
@@ -65,26 +82,26 @@ class Sensors:
         return self._plane.geodetic(east_north)
 
     def odometry(self, reading: OdometryReading) -> None:
-        """Take a reading."""
+        """Add a reading."""
         self._track.add(reading)
 
     def compass(self, reading: CompassReading) -> None:
-        """Take a reading."""
+        """Add a reading."""
         insort(self._compass, reading, key=_STAMP)
 
     def gps(self, reading: GpsReading) -> None:
-        """Take a reading; the first one is the datum. Raises InputError without pyproj."""
+        """Add a reading; the first one is the datum. Raises InputError without pyproj."""
         if self._plane is None:
             self.datum_degrees = (float(reading.latitude_degrees), float(reading.longitude_degrees))
             self._plane = LocalPlane(self.datum_degrees)
         insort(self._gps, reading, key=_STAMP)
 
     def motion(self, begin: float | None, end: float | None) -> Pose2 | None:
-        """Return ``begin_from_end`` by odometry, or None where it does not tell."""
+        """Return ``begin_from_end`` by odometry; None without readings about those moments."""
         return self._track.motion(begin, end)
 
-    def link(self, first: PoseEstimate, second: PoseEstimate) -> Link | None:
-        """Return the motion between two frames by odometry, or None where it does not tell."""
+    def link(self, first: StampedFrame, second: StampedFrame) -> Link | None:
+        """Return the motion between two frames by odometry; None without readings for it."""
         motion = self.motion(first.stamp, second.stamp)
         if motion is None:
             return None
@@ -92,32 +109,38 @@ class Sensors:
         return Link(first.index, second.index, motion, covariance, 0, math.nan, "odometry")
 
     def chain(self, frames: Sequence[PoseEstimate]) -> list[Link]:
-        """Return the motions between frames that follow one another, where odometry tells them."""
-        told = [f for f in frames if f.stamp is not None and self._track.at(f.stamp) is not None]
-        links = (self.link(first, second) for first, second in pairwise(told))
+        """Return the motions between frames that follow one another, where there is odometry."""
+        covered = [f for f in frames if f.stamp is not None and self._track.at(f.stamp) is not None]
+        links = (self.link(first, second) for first, second in pairwise(covered))
         return [link for link in links if link is not None]
 
     def headings(self, frames: Sequence[PoseEstimate]) -> list[HeadingReading]:
-        """Return the compass's readings, each tied to one of some placed frames."""
+        """Return the compass readings about some placed frames, each attached to one of them."""
         near, share = self._near(self._compass, frames), self._share(self._compass)
         return [
             HeadingReading(index, motion, reading.heading_radians, reading.sigma_radians, share)
-            for reading, (index, motion) in zip(near, self._tied(frames, near), strict=True)
+            for reading, (index, motion) in zip(near, self._attached(frames, near), strict=True)
             if index >= 0
         ]
 
-    def places(self, frames: Sequence[PoseEstimate]) -> list[PositionReading]:
-        """Return the GPS readings, each tied to one of some placed frames."""
+    def positions(self, frames: Sequence[PoseEstimate]) -> list[PositionReading]:
+        """Return the GPS readings about some placed frames, each attached to one of them."""
         near, share = self._near(self._gps, frames), self._share(self._gps)
-        places = []
-        for reading, (index, motion) in zip(near, self._tied(frames, near), strict=True):
+        positions = []
+        for reading, (index, motion) in zip(near, self._attached(frames, near), strict=True):
             if index >= 0 and self._plane is not None:
-                place = self._plane.east_north(reading.latitude_degrees, reading.longitude_degrees)
-                places.append(PositionReading(index, motion, *place, reading.sigma_metres, share))
-        return places
+                east, north = self._plane.east_north(
+                    reading.latitude_degrees, reading.longitude_degrees
+                )
+                positions.append(
+                    PositionReading(index, motion, east, north, reading.sigma_metres, share)
+                )
+        return positions
 
-    def _near(self, readings: Sequence[Kind], frames: Sequence[PoseEstimate]) -> Sequence[Kind]:
-        """Return the readings of about the time of some frames: only these can be tied to them."""
+    def _near(
+        self, readings: Sequence[Reading], frames: Sequence[PoseEstimate]
+    ) -> Sequence[Reading]:
+        """Return the readings about the time of some frames: only these can be attached to them."""
         stamps = [frame.stamp for frame in frames if frame.stamp is not None]
         if not stamps:
             return []
@@ -125,38 +148,39 @@ class Sensors:
         first = bisect_left(readings, min(stamps) - gap - shift, key=_STAMP)
         return readings[first : bisect_right(readings, max(stamps) + gap - shift, key=_STAMP)]
 
-    def _share(self, readings: Sequence[Kind]) -> float:
-        """Return what one reading counts: of so many in the time over which they err alike."""
+    def _share(self, readings: Sequence[Reading]) -> float:
+        """Return the weight of a reading: 1 over their number in the errors' correlation time."""
         if len(readings) < 2:
             return 1.0
         apart = (readings[-1].stamp - readings[0].stamp) / (len(readings) - 1)
         return min(1.0, apart / self.options.memory_seconds)
 
-    def _tied(
-        self, frames: Sequence[PoseEstimate], readings: Sequence[Kind]
+    def _attached(
+        self, frames: Sequence[PoseEstimate], readings: Sequence[Reading]
     ) -> list[tuple[int, Pose2]]:
         """Return, for each reading, a frame's index and ``frame_from_robot`` at that moment.
 
-        By odometry, else between the frames before and after it. Index -1 where neither tells.
+        By odometry, else interpolated between the frames before and after it. Index -1 where
+        neither is possible.
         """
         stamped = sorted((f for f in frames if f.stamp is not None), key=_STAMP)
         moments = [frame.stamp for frame in stamped if frame.stamp is not None]
         shift = self.options.time_offset_seconds
-        return [self._tie(stamped, moments, reading.stamp + shift) for reading in readings]
+        return [self._attach(stamped, moments, reading.stamp + shift) for reading in readings]
 
-    def _tie(
+    def _attach(
         self, frames: Sequence[PoseEstimate], moments: Sequence[float], stamp: float
     ) -> tuple[int, Pose2]:
         none = (-1, Pose2())
         after = bisect_left(moments, stamp - telemetry.SAME_MOMENT_SECONDS)
         if after < len(moments) and moments[after] <= stamp + telemetry.SAME_MOMENT_SECONDS:
             return frames[after].index, Pose2()
-        longest = self.options.max_gap_seconds
-        if after > 0 and stamp - moments[after - 1] <= longest:
-            felt = self.motion(moments[after - 1], stamp)
-            if felt is not None:
-                return frames[after - 1].index, felt
-        if after in {0, len(moments)} or moments[after] - moments[after - 1] > longest:
+        max_gap = self.options.max_gap_seconds
+        if after > 0 and stamp - moments[after - 1] <= max_gap:
+            measured = self.motion(moments[after - 1], stamp)
+            if measured is not None:
+                return frames[after - 1].index, measured
+        if after in {0, len(moments)} or moments[after] - moments[after - 1] > max_gap:
             return none
         first, second = frames[after - 1], frames[after]
         begin, end = first.map_from_robot, second.map_from_robot

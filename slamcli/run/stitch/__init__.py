@@ -80,7 +80,7 @@ def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> Loc
     files = drive.inputs.files
     for done in run_mapper(mapper, files, session, thumbnails):
         if drive.options.debug:
-            draw_trials(mapper.trials, checkpoint.drawings)
+            draw_trials(mapper.registrations, checkpoint.drawings)
         stop = session.interruption.stops_here()
         if stop or schedule.due() or done == len(files):
             schedule.run(lambda: checkpoint.save(mapper))

@@ -174,5 +174,5 @@ def _probe(inputs: Inputs, options: StitchOptions) -> tuple[list[float], float]:
             except FrameError:
                 continue
             count += 1
-            overlaps += [trial.overlap for trial in mapper.trials[:1] if trial.link is not None]
+            overlaps += [one.overlap for one in mapper.registrations[:1] if one.link is not None]
     return overlaps, (time.perf_counter() - started) / max(count, 1)

@@ -26,7 +26,7 @@ from slamcli.stages.adjustment.projection import (
     transfer_with_jacobians,
 )
 
-# Geman and McClure's scale in sigmas; see stages.align.rigid.
+# [All thresholds here are guarded by benchmarks/self_calibration.py.]
 # A match whose one direction is known this much worse than the other lies on a line.
 _LINE_RATIO = 0.3
 _MIN_SCALE = 0.3

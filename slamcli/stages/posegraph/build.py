@@ -1,4 +1,4 @@
-"""From links and readings to arrays, and a first guess of what the senses are off by."""
+"""Assembly of the least-squares problem from links and readings, and its initial state."""
 
 from __future__ import annotations
 
@@ -9,124 +9,114 @@ import numpy as np
 from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.core.geometry import Pose2, compose_poses, pose_array
 from slamcli.core.records import Link
-from slamcli.stages.posegraph.factors import HeadingReading, PositionReading, SensorOffsets
-from slamcli.stages.posegraph.measurements import Headings, Motions, Places
+from slamcli.stages.posegraph.factors import SensorOffsets, SensorReadings
+from slamcli.stages.posegraph.measurements import Headings, Motions, Positions
 from slamcli.stages.posegraph.problem import Problem
 from slamcli.stages.posegraph.state import ANCHOR_SIGMA, LOOSE_SIGMA, GraphState, SensorPrior
 
+# Iterations of the robust alignment, linear in convergence: far more than it needs.
 _REWEIGHTINGS = 30
-# Metres within which a place counts in full as the first guess is made.
-_NEAR_METRES = 0.1
-# A robot's antenna is on the robot (m).
-_LEVER_SIGMA = 1.0
+# Bounds the weight of a position in it. [guarded by tests/mapping/backend/test_sensors.py]
+_MIN_DISTANCE_METRES = 0.1
+# Prior sigma of an unknown lever arm: an antenna is on the robot.
+_LEVER_ARM_SIGMA_METRES = 1.0
 
 
 def build(
     frames: Sequence[int],
     links: Sequence[Link],
-    headings: Sequence[HeadingReading],
-    places: Sequence[PositionReading],
-    *,
-    lever_arm_metres: tuple[float, float] | None,
-    held: Collection[int] = (),
-    prior: SensorOffsets | None = None,
+    readings: SensorReadings,
+    fixed: Collection[int] = (),
 ) -> Problem:
-    """Return the problem over frames, in the order of their poses; the first one is held, if none.
-
-    Parameters
-    ----------
-    lever_arm_metres : (float, float) or None
-        Of the GPS antenna, where it is known.
-    prior : SensorOffsets or None
-        What earlier readings told of the senses; of the antenna that is taken for certain.
-    """
-    pose_of = {frame: place for place, frame in enumerate(frames)}
+    """Return the problem over frames, in the order of their poses; without `fixed` the first is."""
+    index_of = {frame: index for index, frame in enumerate(frames)}
+    headings, positions = readings.headings, readings.positions
     return Problem(
         Motions(
-            _numbers([pose_of[link.a] for link in links]),
-            _numbers([pose_of[link.b] for link in links]),
+            _indices([index_of[link.a] for link in links]),
+            _indices([index_of[link.b] for link in links]),
             pose_array([link.a_from_b for link in links]),
             _whitenings(np.array([link.covariance for link in links]).reshape(-1, 3, 3)),
         ),
         Headings(
-            _numbers([pose_of[heading.frame] for heading in headings]),
+            _indices([index_of[heading.frame] for heading in headings]),
             np.array([heading.frame_from_robot.theta for heading in headings]),
             np.array([heading.heading_radians for heading in headings]),
             np.array([heading.sigma_radians for heading in headings]),
         ),
-        Places(
-            _numbers([pose_of[place.frame] for place in places]),
-            pose_array([place.frame_from_robot for place in places]),
-            np.array([(p.east_metres, p.north_metres) for p in places]).reshape(-1, 2),
-            np.array([place.sigma_metres for place in places]),
+        Positions(
+            _indices([index_of[position.frame] for position in positions]),
+            pose_array([position.frame_from_robot for position in positions]),
+            np.array([(p.east_metres, p.north_metres) for p in positions]).reshape(-1, 2),
+            np.array([position.sigma_metres for position in positions]),
         ),
         np.concatenate(
             [
                 np.ones(len(links)),
                 np.array([heading.share for heading in headings]),
-                np.array([place.share for place in places]),
+                np.array([position.share for position in positions]),
             ]
         ),
-        _numbers(sorted(pose_of[frame] for frame in held) or [0]),
-        _nothing_told(lever_arm_metres) if prior is None else _told(prior),
+        _indices(sorted(index_of[frame] for frame in fixed) or [0]),
+        _loose_prior(readings.lever_arm_metres)
+        if readings.prior is None
+        else _prior(readings.prior),
     )
 
 
-def first_state(problem: Problem, poses: Float64Array) -> GraphState:
-    """Return first poses with the compass's offset and the datum that most readings agree on."""
-    senses = problem.prior.senses.copy()
-    if problem.prior.told:
-        return GraphState(poses, senses)
+def initial_state(problem: Problem, poses: Float64Array) -> GraphState:
+    """Return initial poses, with the compass offset and datum that most readings agree on."""
+    offsets = problem.prior.offsets.copy()
+    if problem.prior.is_measured:
+        return GraphState(poses, offsets)
     if len(problem.headings):
-        told = poses[problem.headings.pose, 2] + problem.headings.turn
-        senses[0] = _middle_angle(problem.headings.heading - told)
-    if len(problem.places):
-        antenna = compose_poses(problem.places.motion, np.append(senses[4:], 0.0))
-        in_map = compose_poses(poses[problem.places.pose], antenna)[:, :2]
-        senses[1:4] = _align(in_map, problem.places.east_north)
-    return GraphState(poses, senses)
+        in_map = poses[problem.headings.pose, 2] + problem.headings.turn
+        offsets[0] = _median_angle(problem.headings.heading - in_map)
+    if len(problem.positions):
+        antenna = compose_poses(problem.positions.motion, np.append(offsets[4:], 0.0))
+        in_map = compose_poses(poses[problem.positions.pose], antenna)[:, :2]
+        offsets[1:4] = _align(in_map, problem.positions.east_north)
+    return GraphState(poses, offsets)
 
 
-def _nothing_told(lever_arm_metres: tuple[float, float] | None) -> SensorPrior:
-    lever = _LEVER_SIGMA if lever_arm_metres is None else ANCHOR_SIGMA
-    senses = np.zeros(6)
-    senses[4:] = lever_arm_metres or (0.0, 0.0)
-    return SensorPrior(senses, np.diag(1.0 / np.array([LOOSE_SIGMA] * 4 + [lever] * 2)), told=False)
+def _loose_prior(lever_arm_metres: tuple[float, float] | None) -> SensorPrior:
+    lever = _LEVER_ARM_SIGMA_METRES if lever_arm_metres is None else ANCHOR_SIGMA
+    offsets = np.zeros(6)
+    offsets[4:] = lever_arm_metres or (0.0, 0.0)
+    sigmas = np.array([LOOSE_SIGMA] * 4 + [lever] * 2)
+    return SensorPrior(offsets, np.diag(1.0 / sigmas), is_measured=False)
 
 
-def _told(offsets: SensorOffsets) -> SensorPrior:
-    datum = offsets.east_north_from_map
+def _prior(known: SensorOffsets) -> SensorPrior:
+    datum = known.east_north_from_map
     back = Pose2(0.0, 0.0, -datum.theta).matrix
     covariance = ANCHOR_SIGMA**2 * np.eye(6)
-    covariance[0, 0] = offsets.compass_offset_sigma_radians**2
-    covariance[1:4, 1:4] = back @ offsets.east_north_covariance @ back.T
-    senses = (offsets.compass_offset_radians, datum.x, datum.y, datum.theta)
-    return SensorPrior(
-        np.array([*senses, *offsets.lever_arm_metres]), _whitenings(covariance[None])[0], told=True
-    )
+    covariance[0, 0] = known.compass_offset_sigma_radians**2
+    covariance[1:4, 1:4] = back @ known.east_north_covariance @ back.T
+    offsets = (known.compass_offset_radians, datum.x, datum.y, datum.theta, *known.lever_arm_metres)
+    return SensorPrior(np.array(offsets), _whitenings(covariance[None])[0], is_measured=True)
 
 
-def _numbers(values: list[int]) -> Int64Array:
+def _indices(values: list[int]) -> Int64Array:
     return np.array(values, dtype=np.int64)
 
 
 def _whitenings(covariances: Float64Array) -> Float64Array:
-    """Return (M, 3, 3) factors that turn errors of such covariances to ones of unit covariance."""
+    """Return (M, 3, 3) factors that give errors of these covariances unit covariance."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariances)), dtype=np.float64)
 
 
-def _middle_angle(angles: Float64Array) -> float:
-    """Return the median of angles, cut open opposite to their mean."""
+def _median_angle(angles: Float64Array) -> float:
+    """Return the median of angles, unwrapped about their mean."""
     mean = float(np.angle(np.mean(np.exp(1j * angles))))
-    around = (angles - mean + np.pi) % (2.0 * np.pi) - np.pi
-    return mean + float(np.median(around))
+    unwrapped = (angles - mean + np.pi) % (2.0 * np.pi) - np.pi
+    return mean + float(np.median(unwrapped))
 
 
 def _align(points: Float64Array, targets: Float64Array) -> Float64Array:
-    """Return the rigid motion (3,) that brings points to most of their targets.
+    """Return the rigid motion (3,) of least summed distance from points to their targets.
 
-    Least sum of distances, by iteratively reweighted least squares, each a Procrustes problem of
-    complex numbers.
+    Iteratively reweighted least squares, each a Procrustes problem of complex numbers.
     """
     here, there = points @ (1.0, 1j), targets @ (1.0, 1j)
     weights = np.ones(len(here))
@@ -138,5 +128,5 @@ def _align(points: Float64Array, targets: Float64Array) -> Float64Array:
         shift = target - np.exp(1j * turn) * centre
         motion = np.array([shift.real, shift.imag, turn])
         misses = np.abs(np.exp(1j * turn) * here + shift - there)
-        weights = 1.0 / np.maximum(misses, _NEAR_METRES)
+        weights = 1.0 / np.maximum(misses, _MIN_DISTANCE_METRES)
     return motion

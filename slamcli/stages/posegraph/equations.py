@@ -1,4 +1,4 @@
-"""The normal equations of a pose graph as they are added up."""
+"""Normal equations of a pose graph, assembled factor by factor."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from slamcli.core.arrays import Float64Array, Int64Array
 
 
 class Equations:
-    """``H step = -gradient``."""
+    """Sparse ``H step = -gradient``, as sums over factors."""
 
     def __init__(self, size: int) -> None:
         self.gradient = np.zeros(size)
@@ -20,7 +20,7 @@ class Equations:
 
     @property
     def entries(self) -> tuple[Int64Array, Int64Array, Float64Array]:
-        """Rows, columns and values of H, (E,) each; those of one place add up."""
+        """Rows, columns and values of H, (E,) each; entries of equal row and column add up."""
         return (
             np.concatenate(self._rows),
             np.concatenate(self._columns),
@@ -38,7 +38,7 @@ class Equations:
         Parameters
         ----------
         variables : sequence of (K, d) int64
-            Places in the step.
+            Indices in the step.
         jacobians : sequence of (K, r, d) float64
             Whitened.
         residuals : (K, r) float64

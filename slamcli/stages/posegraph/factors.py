@@ -1,7 +1,8 @@
-"""What goes into a pose graph besides links, and what comes out of it."""
+"""Sensor readings that enter a pose graph beside its links, and its solution."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from slamcli.core.arrays import Float64Array
@@ -10,7 +11,7 @@ from slamcli.core.geometry import Pose2
 
 @dataclass(frozen=True, slots=True)
 class HeadingReading:
-    """A compass's reading, tied to a frame.
+    """A compass reading, attached to a frame.
 
     Attributes
     ----------
@@ -21,7 +22,7 @@ class HeadingReading:
         Counter-clockwise from the compass's own zero.
     sigma_radians : float
     share : float
-        What it counts beside a reading that errs independently of all others.
+        Weight in (0, 1]: below 1 for readings so dense that their errors are correlated.
     """
 
     frame: int
@@ -33,7 +34,7 @@ class HeadingReading:
 
 @dataclass(frozen=True, slots=True)
 class PositionReading:
-    """A GPS reading, tied to a frame.
+    """A GPS reading, attached to a frame.
 
     Attributes
     ----------
@@ -41,10 +42,10 @@ class PositionReading:
     frame_from_robot : Pose2
         From the frame to the moment of the reading.
     east_metres, north_metres : float
-        Of the datum.
+        From the datum.
     sigma_metres : float
     share : float
-        What it counts beside a reading that errs independently of all others.
+        Weight in (0, 1]: below 1 for readings so dense that their errors are correlated.
     """
 
     frame: int
@@ -57,15 +58,15 @@ class PositionReading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorOffsets:
-    """What the other senses' readings are off by.
+    """Offsets that all readings of a sensor share: compass, GPS frame, GPS antenna.
 
     Attributes
     ----------
     compass_offset_radians, compass_offset_sigma_radians : float
-        The compass's heading less that in the map.
+        The compass's heading minus that in the map.
     east_north_from_map : Pose2
     east_north_covariance : (3, 3) float64
-        Of it: x, y (m), theta (rad), in the map's axes.
+        Of x, y (m), theta (rad), in the map's axes.
     lever_arm_metres : (float, float)
         Of the GPS antenna, ahead and to the left.
     """
@@ -78,8 +79,28 @@ class SensorOffsets:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SensorReadings:
+    """The readings of one component's frames, and what is known of their offsets beforehand.
+
+    Attributes
+    ----------
+    headings : sequence of HeadingReading
+    positions : sequence of PositionReading
+    lever_arm_metres : (float, float) or None
+        Of the GPS antenna; None estimates it.
+    prior : SensorOffsets or None
+        By other readings than these; its lever arm is taken for exact.
+    """
+
+    headings: Sequence[HeadingReading] = ()
+    positions: Sequence[PositionReading] = ()
+    lever_arm_metres: tuple[float, float] | None = (0.0, 0.0)
+    prior: SensorOffsets | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Solved poses.
+    """Optimised poses with their marginal covariances, and the outliers among the factors.
 
     Attributes
     ----------
@@ -88,19 +109,19 @@ class Solution:
     covariances : dict of int to (3, 3) float64
         Marginal, of x, y (m), theta (rad), in the robot's own axes.
     switched_off : tuple of int
-        Places in the given links of those that the others contradict.
-    headings_off, places_off : tuple of int
-        The same of the compass's and the GPS's readings.
+        Indices of the given links that the others contradict.
+    heading_outliers, position_outliers : tuple of int
+        Indices of the given readings that the others contradict.
     offsets : SensorOffsets
         Without meaning where there was no reading.
     variance_factor : float
-        What the covariances of links between pictures were multiplied by for the poses' ones.
+        Factor on the covariances of links between pictures, for the poses' covariances.
     """
 
     poses: dict[int, Pose2]
     covariances: dict[int, Float64Array]
     switched_off: tuple[int, ...]
-    headings_off: tuple[int, ...]
-    places_off: tuple[int, ...]
+    heading_outliers: tuple[int, ...]
+    position_outliers: tuple[int, ...]
     offsets: SensorOffsets
     variance_factor: float

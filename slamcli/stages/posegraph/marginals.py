@@ -1,4 +1,4 @@
-"""The diagonal of a large sparse inverse: how sure each pose is, all others uncertain too.
+"""Marginal covariances: the diagonal blocks of a large sparse inverse (selected inversion).
 
 A multifrontal Cholesky factorisation and, back down its tree, the entries of the inverse that lie
 where the factor has any (Takahashi, Fagan and Chin, 1973; Erisman and Tinney, On computing certain
@@ -17,13 +17,14 @@ from scipy.sparse.linalg import splu
 
 from slamcli.core.arrays import Float64Array, Int64Array
 
-# Fronts that are merged may hold this many more blocks than needed: fewer, larger steps are faster.
+# Merged fronts may have this many blocks more than needed: fewer, larger steps are faster.
+# [benchmarks/backend.py: 8 s for 10,000 poses, solution and covariances]
 _MAX_PADDING_BLOCKS = 4
 
 
 @dataclass(slots=True, eq=False)
 class _Front:
-    """A dense part of the factorisation: columns that are eliminated together, and what they touch.
+    """A dense part of the factorisation: columns eliminated together, and the rows they touch.
 
     Blocks are numbered in the order of elimination.
     """
@@ -45,7 +46,7 @@ def diagonal_blocks(
     Parameters
     ----------
     rows, columns, values : (E,)
-        The matrix's entries, both triangles; those of one place add up.
+        The matrix's entries, both triangles; entries of equal row and column add up.
     sizes : (B,) int64
         Of its blocks, which lie on the diagonal without a gap.
 
@@ -76,13 +77,13 @@ def diagonal_blocks(
 
 
 class _Matrix:
-    """The lower triangle's columns, to be asked for many times."""
+    """Columns of the lower triangle, for repeated access."""
 
     def __init__(self, lower: sparse.csc_array) -> None:
         self._starts, self._rows, self._values = lower.indptr, lower.indices, lower.data
 
     def put(self, front: Float64Array, indices: Int64Array, count: int) -> None:
-        """Write the first `count` columns of a front, which stand at `indices`, into it."""
+        """Write the first `count` columns of a front, of the scalars `indices`, into it."""
         begin, end = self._starts[indices[0]], self._starts[indices[0] + count]
         widths = np.diff(self._starts[indices[0] : indices[0] + count + 1])
         rows = np.searchsorted(indices, self._rows[begin:end])
@@ -113,7 +114,7 @@ def _elimination_order(pattern: sparse.csc_array) -> Int64Array:
 
 
 def _symbolic(pattern: sparse.csc_array, order: Int64Array) -> tuple[list[set[int]], list[int]]:
-    """Return what each block touches below it in the factor, and its parent in the tree, or -1."""
+    """Return the blocks below each in the factor, and its parent in the elimination tree or -1."""
     position_of = np.empty(len(order), np.int64)
     position_of[order] = np.arange(len(order))
     touched: list[set[int]] = []
@@ -158,7 +159,7 @@ def _merged(touched: list[set[int]], parents: list[int]) -> list[_Front]:
 def _invert(
     matrix: _Matrix, fronts: list[_Front], spans: list[Int64Array]
 ) -> list[tuple[Int64Array, Float64Array]]:
-    """Return, for every front, its scalars' places and the inverse's entries between them."""
+    """Return, for every front, its scalars' indices and the inverse's entries between them."""
     places = [np.concatenate([spans[k] for k in (*f.columns, *f.touched)]) for f in fronts]
     counts = [sum(len(spans[k]) for k in front.columns) for front in fronts]
     updates: list[Float64Array | None] = [None] * len(fronts)

@@ -1,4 +1,4 @@
-"""What was measured, as arrays, and how each kind misses a state: residuals and their Jacobians."""
+"""The factors of each kind as arrays, with their residuals and Jacobians."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from slamcli.core.geometry import compose_poses, relative_poses
 from slamcli.stages.posegraph.state import GraphState
 
 
-class Slopes(NamedTuple):
-    """By which variables the residuals of K factors change, and how.
+class Jacobians(NamedTuple):
+    """Derivatives of the residuals of K factors by the variables that each depends on.
 
     Attributes
     ----------
     variables : tuple of (K, d) int64
-        Places in the step.
+        Indices in the step.
     jacobians : tuple of (K, r, d) float64
         Whitened.
     """
@@ -29,12 +29,12 @@ class Slopes(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motions:
-    """Between two poses: K of them.
+    """K relative poses between two frames each.
 
     Attributes
     ----------
     a, b : (K,) int64
-        Places in the state's poses.
+        Indices of the state's poses.
     a_from_b : (K, 3) float64
     whitening : (K, 3, 3) float64
         Turns a residual into one of unit covariance.
@@ -55,8 +55,8 @@ class Motions:
         errors: Float64Array = np.einsum("kij,kj->ki", self.whitening, raw)
         return errors
 
-    def slopes(self, state: GraphState) -> Slopes:
-        """Return how they change with either pose."""
+    def jacobians(self, state: GraphState) -> Jacobians:
+        """Return the derivatives by either pose."""
         seen = relative_poses(state.poses[self.a], state.poses[self.b])
         back = _rotations(-self.a_from_b[:, 2])
         of_b = np.zeros((len(self), 3, 3))
@@ -66,15 +66,15 @@ class Motions:
         of_a[:, :2, :2] = -back
         of_a[:, :2, 2] = np.einsum("kij,kj->ki", back, np.column_stack([seen[:, 1], -seen[:, 0]]))
         of_a[:, 2, 2] = -1.0
-        return Slopes(
-            (_pose_places(self.a), _pose_places(self.b)),
+        return Jacobians(
+            (_pose_indices(self.a), _pose_indices(self.b)),
             (self.whitening @ of_a, self.whitening @ of_b),
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Headings:
-    """Of the robot, by a compass: K of them.
+    """K headings of the robot by a compass.
 
     Attributes
     ----------
@@ -94,21 +94,21 @@ class Headings:
 
     def errors(self, state: GraphState) -> Float64Array:
         """Return (K, 1) whitened residuals."""
-        told = state.poses[self.pose, 2] + self.turn + state.compass_offset
-        wrapped = (told - self.heading + np.pi) % (2.0 * np.pi) - np.pi
+        predicted = state.poses[self.pose, 2] + self.turn + state.compass_offset
+        wrapped = (predicted - self.heading + np.pi) % (2.0 * np.pi) - np.pi
         errors: Float64Array = (wrapped / self.sigma)[:, None]
         return errors
 
-    def slopes(self, state: GraphState) -> Slopes:
-        """Return how they change with the pose's heading and with the compass's offset."""
-        slope = (1.0 / self.sigma)[:, None, None]
+    def jacobians(self, state: GraphState) -> Jacobians:
+        """Return the derivatives by the pose's heading and by the compass offset."""
+        inverse = (1.0 / self.sigma)[:, None, None]
         offset = np.full((len(self), 1), 3 * len(state.poses))
-        return Slopes((3 * self.pose[:, None] + 2, offset), (slope, slope))
+        return Jacobians((3 * self.pose[:, None] + 2, offset), (inverse, inverse))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Places:
-    """Of the antenna, east and north of the datum, by GPS: K of them.
+class Positions:
+    """K positions of the antenna, east and north of the datum, by GPS.
 
     Attributes
     ----------
@@ -130,21 +130,21 @@ class Places:
     def errors(self, state: GraphState) -> Float64Array:
         """Return (K, 2) whitened residuals."""
         in_map = compose_poses(state.poses[self.pose], self._antenna(state))
-        told = compose_poses(state.east_north_from_map, in_map)[:, :2]
-        errors: Float64Array = (told - self.east_north) / self.sigma[:, None]
+        predicted = compose_poses(state.east_north_from_map, in_map)[:, :2]
+        errors: Float64Array = (predicted - self.east_north) / self.sigma[:, None]
         return errors
 
-    def slopes(self, state: GraphState) -> Slopes:
-        """Return how they change with the pose, the datum and the lever arm."""
+    def jacobians(self, state: GraphState) -> Jacobians:
+        """Return the derivatives by the pose, the datum and the lever arm."""
         antenna = self._antenna(state)
         antenna[:, 2] = 0.0
         in_map = compose_poses(state.poses[self.pose], antenna)
         turn = float(state.east_north_from_map[2])
         heading = state.poses[self.pose, 2]
         scale = (1.0 / self.sigma)[:, None, None]
-        senses = np.full((len(self), 1), 3 * len(state.poses))
-        return Slopes(
-            (_pose_places(self.pose), senses + np.arange(1, 4), senses + np.arange(4, 6)),
+        offsets = np.full((len(self), 1), 3 * len(state.poses))
+        return Jacobians(
+            (_pose_indices(self.pose), offsets + np.arange(1, 4), offsets + np.arange(4, 6)),
             (
                 scale * _arm(_rotations(turn + heading), antenna[:, :2]),
                 scale * _arm(_rotations(np.full(len(self), turn)), in_map[:, :2]),
@@ -153,25 +153,25 @@ class Places:
         )
 
     def _antenna(self, state: GraphState) -> Float64Array:
-        """Return (K, 3) places of the antenna in each pose's frame."""
+        """Return (K, 3) poses of the antenna in each pose's frame."""
         return compose_poses(self.motion, np.append(state.lever_arm, 0.0))
 
 
-Measured = Motions | Headings | Places
-Kind = TypeVar("Kind", bound=Measured)
+Factors = Motions | Headings | Positions
+Kind = TypeVar("Kind", bound=Factors)
 
 
-def some_of(measured: Kind, places: Int64Array) -> Kind:
-    """Return the measurements at some places."""
-    return type(measured)(*(getattr(measured, field.name)[places] for field in fields(measured)))
+def some_of(factors: Kind, indices: Int64Array) -> Kind:
+    """Return some of the factors."""
+    return type(factors)(*(getattr(factors, field.name)[indices] for field in fields(factors)))
 
 
-def _pose_places(poses: Int64Array) -> Int64Array:
+def _pose_indices(poses: Int64Array) -> Int64Array:
     return 3 * poses[:, None] + np.arange(3)
 
 
 def _arm(rotations: Float64Array, points: Float64Array) -> Float64Array:
-    """Return (K, 2, 3): how a point moves with the frame that it is fixed to."""
+    """Return (K, 2, 3): derivatives of points by the frame that each is fixed to."""
     lever = np.stack([-points[:, 1], points[:, 0]], axis=1)
     return np.concatenate([rotations, rotations @ lever[:, :, None]], axis=2)
 

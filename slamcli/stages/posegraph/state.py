@@ -1,4 +1,4 @@
-"""What a pose graph seeks, and what is known beforehand of the senses' part of it.
+"""The variables of a pose graph: poses, and the offsets of compass, GPS frame and antenna.
 
 A pose is perturbed on its right, ``pose @ (dx, dy, dtheta)``, in its own axes: GTSAM's tangent
 space. Jacobians after Sola, Deray and Atchuthan, A micro Lie theory (2018).
@@ -13,78 +13,78 @@ import numpy as np
 from slamcli.core.arrays import Float64Array
 from slamcli.core.geometry import compose_poses, relative_poses
 
-# What is taken for certain is held this firmly (m, rad).
+# Sigma of what is fixed (m, rad): far below any measurement's, far above rounding errors.
 ANCHOR_SIGMA = 1e-6
-# What no reading tells of is held as loosely as this: it must not make the equations singular.
+# Sigma of what no factor determines (m, rad): it must not make the equations singular.
 LOOSE_SIGMA = 1e4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraphState:
-    """What is sought.
+    """The variables: poses, and the offsets of compass, GPS frame and antenna.
 
     Attributes
     ----------
     poses : (N, 3) float64
         ``map_from_robot``: x, y (m), theta (rad).
-    senses : (6,) float64
-        The compass's offset (rad): its heading less that in the map; ``east_north_from_map``; the
-        GPS antenna in the robot's frame (m).
+    offsets : (6,) float64
+        The compass offset (rad): its heading minus that in the map; ``east_north_from_map``: x, y
+        (m), theta (rad); the GPS antenna in the robot's frame (m).
     """
 
     poses: Float64Array
-    senses: Float64Array
+    offsets: Float64Array
 
     @property
     def compass_offset(self) -> float:
         """Radians, to be added to a heading in the map."""
-        return float(self.senses[0])
+        return float(self.offsets[0])
 
     @property
     def east_north_from_map(self) -> Float64Array:
         """(3,): x, y (m), theta (rad)."""
-        return self.senses[1:4]
+        return self.offsets[1:4]
 
     @property
     def lever_arm(self) -> Float64Array:
         """(2,) metres, ahead and to the left."""
-        return self.senses[4:]
+        return self.offsets[4:]
 
-    def moved(self, step: Float64Array) -> GraphState:
+    def plus(self, step: Float64Array) -> GraphState:
         """Return the state after a step of the solver, (3 N + 6,)."""
         count = 3 * len(self.poses)
         poses = compose_poses(self.poses, step[:count].reshape(-1, 3))
-        offset, turn, lever = np.split(step[count:], [1, 4])
-        senses = np.concatenate(
+        compass, datum, lever = np.split(step[count:], [1, 4])
+        offsets = np.concatenate(
             [
-                self.senses[:1] + offset,
-                compose_poses(self.east_north_from_map, turn),
+                self.offsets[:1] + compass,
+                compose_poses(self.east_north_from_map, datum),
                 self.lever_arm + lever,
             ]
         )
-        return GraphState(poses, senses)
+        return GraphState(poses, offsets)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorPrior:
-    """What is known of the senses' offsets before any reading of this graph, and how surely.
+    """Gaussian prior of the sensor offsets, before any reading of this graph.
 
     Attributes
     ----------
-    senses : (6,) float64
+    offsets : (6,) float64
         As in `GraphState`.
     whitening : (6, 6) float64
-        Turns what a state is off that, in its own axes, into one of unit covariance.
-    told : bool
-        Whether earlier readings told of compass and datum; if not, these are found anew.
+        Turns a state's difference from these, in its own axes, into one of unit covariance.
+    is_measured : bool
+        Whether earlier readings determined compass and datum; if not, a first guess is made.
     """
 
-    senses: Float64Array
+    offsets: Float64Array
     whitening: Float64Array
-    told: bool
+    is_measured: bool
 
     def errors(self, state: GraphState) -> Float64Array:
-        """Return (6,): by how much a state is off, whitened."""
-        off = state.senses - self.senses
-        off[1:4] = relative_poses(self.senses[1:4], state.east_north_from_map)
-        return np.asarray(self.whitening @ off)
+        """Return (6,): the whitened difference of a state."""
+        difference = state.offsets - self.offsets
+        difference[1:4] = relative_poses(self.offsets[1:4], state.east_north_from_map)
+        return np.asarray(self.whitening @ difference)

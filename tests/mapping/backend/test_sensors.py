@@ -1,4 +1,4 @@
-"""The other senses fused with what the frames show, in worlds whose truth is known."""
+"""Odometry, compass and GPS in the pose graph, in worlds whose truth is known."""
 
 from __future__ import annotations
 
@@ -58,23 +58,23 @@ def drive(
 ) -> Backend:
     """Steps with that noise (m, rad); at a break a new map begins, and lost frames show nothing."""
     generator = np.random.default_rng(seed)
-    graph = Backend(sensors)
+    backend = Backend(sensors)
     before: int | None = None
     for index, pose in enumerate(truth):
         frame = PreparedFrame(index, str(index), index / RATE_HERTZ, None, None, "")
         if index in lost:
-            graph.lose(frame, "shows nothing")
+            backend.add_lost(frame, "shows nothing")
             before = None
         elif before is None or index in breaks:
-            graph.begin_fragment(frame)
+            backend.begin_fragment(frame)
             before = index
         else:
             error = Pose2(*generator.normal(0.0, sigma, 3))
             motion = truth[before].inverse() @ pose @ error
             covariance = sigma**2 * np.eye(3)
-            graph.place(frame, [Link(before, index, motion, covariance, 50, 0.9, "step")])
+            backend.place(frame, [Link(before, index, motion, covariance, 50, 0.9, "step")])
             before = index
-    return graph
+    return backend
 
 
 def feel_gps(
@@ -106,19 +106,19 @@ def feel_compass(
         sensors.compass(CompassReading(index / RATE_HERTZ, heading, math.radians(3)))
 
 
-def rmse(graph: Backend, truth: list[Pose2]) -> float:
+def rmse(backend: Backend, truth: list[Pose2]) -> float:
     """Root mean square distance after the best rigid alignment, metres."""
-    found = pose_array([graph.pose(i) for i in range(len(truth))])[:, :2] @ (1.0, 1j)
+    found = pose_array([backend.graph.pose(i) for i in range(len(truth))])[:, :2] @ (1.0, 1j)
     known = pose_array(truth)[:, :2] @ (1.0, 1j)
     found, known = found - found.mean(), known - known.mean()
     turn = np.angle(np.vdot(found, known))
     return float(np.sqrt(np.mean(np.abs(np.exp(1j * turn) * found - known) ** 2)))
 
 
-def earth_errors(graph: Backend, truth: list[Pose2]) -> np.ndarray:
+def earth_errors(backend: Backend, truth: list[Pose2]) -> np.ndarray:
     """How far from where they are on Earth the frames of fragment 0 are put, metres."""
-    reference = graph.georeferences[0]
-    places = [reference.east_north_from_map @ graph.pose(i) for i in range(len(truth))]
+    reference = backend.graph.georeferences[0]
+    places = [reference.east_north_from_map @ backend.graph.pose(i) for i in range(len(truth))]
     true = pose_array([EARTH_FROM_MAP @ pose for pose in truth])[:, :2]
     plane = LocalPlane(reference.datum_degrees)
     known = [plane.east_north(*place) for place in geodetic_from_local(true, DATUM).tolist()]
@@ -148,7 +148,7 @@ def test_gps_and_compass_survive_outliers_and_place_the_map_on_earth() -> None:
         assert rmse(fused, truth) <= 1.1 * rmse(alone, truth)
         errors = earth_errors(fused, truth)
         assert math.sqrt(np.mean(errors**2)) < 0.5
-        reference = fused.georeferences[0]
+        reference = fused.graph.georeferences[0]
         assert reference.readings == 334
         assert 20 <= reference.outliers <= 50
         sigmas = np.sqrt(np.diag(reference.covariance))
@@ -168,7 +168,7 @@ def test_fused_with_gps_and_compass_a_drive_is_as_good_as_by_vision_alone() -> N
     for seed in range(8):
         generator = np.random.default_rng(100 + seed)
         sensors = Sensors()
-        alone, fused = (drive(truth, felt, seed, 0.0003) for felt in (Sensors(), sensors))
+        alone, fused = (drive(truth, measured, seed, 0.0003) for measured in (Sensors(), sensors))
         feel_gps(sensors, truth, generator, 2.0, outliers=0.1)
         feel_compass(sensors, truth, generator, slice(100, 150))
         alone.solve()
@@ -190,28 +190,28 @@ def test_a_large_map_is_corrected_at_a_cost_that_stays_flat(
     sizes: list[int] = []
     solve = posegraph.solve
 
-    def counted(initial: dict[int, Pose2], *given: Any, **told: Any) -> posegraph.Solution:
+    def counted(initial: dict[int, Pose2], *given: Any, **options: Any) -> posegraph.Solution:
         sizes.append(len(initial))
-        return solve(initial, *given, **told)
+        return solve(initial, *given, **options)
 
     monkeypatch.setattr(posegraph, "solve", counted)
     streamed = drive(truth, sensors, 1, 0.001)
     assert max(sizes) < 500, "a large map is not solved as a whole before the end"
     assert sizes[-5:] == [51] * 5
-    windows = streamed.georeferences[0]
+    windows = streamed.graph.georeferences[0]
     assert windows.readings > 850
     # As good as a solution of the whole, within what is not known anyway.
-    errors, latest = earth_errors(streamed, truth), streamed[899].covariance
+    errors, latest = earth_errors(streamed, truth), streamed.graph[899].covariance
     assert latest is not None
     streamed.solve()
-    whole = streamed.georeferences[0]
+    whole = streamed.graph.georeferences[0]
     apart = windows.east_north_from_map.inverse() @ whole.east_north_from_map
     sigmas = np.sqrt(np.diag(windows.covariance))
     assert abs(apart.theta) < 3.0 * sigmas[2]
     assert apart.translation_length < 3.0 * max(sigmas[:2])
     assert math.sqrt(np.mean(errors**2)) < 0.5
     assert 0.9 < sigmas[2] / math.sqrt(whole.covariance[2, 2]) < 5.0
-    ratio = np.diag(latest) / np.diag(streamed[899].covariance)
+    ratio = np.diag(latest) / np.diag(streamed.graph[899].covariance)
     assert np.all((ratio > 0.9) & (ratio < 5.0))
 
 
@@ -223,9 +223,9 @@ def test_the_antenna_is_found_on_the_robot() -> None:
     lever = Pose2(0.4, -0.25)
     sensors = Sensors(TelemetryOptions(lever_arm_metres=None))
     feel_gps(sensors, truth, np.random.default_rng(3), 0.05, lever=lever)
-    graph = drive(truth, sensors, 0, 0.001)
-    graph.solve()
-    assert graph.georeferences[0].lever_arm_metres == pytest.approx((0.4, -0.25), abs=0.06)
+    backend = drive(truth, sensors, 0, 0.001)
+    backend.solve()
+    assert backend.graph.georeferences[0].lever_arm_metres == pytest.approx((0.4, -0.25), abs=0.06)
 
 
 def test_a_compass_alone_holds_the_heading() -> None:
@@ -235,10 +235,10 @@ def test_a_compass_alone_holds_the_heading() -> None:
         sensors = Sensors()
         if fused:
             feel_compass(sensors, truth, np.random.default_rng(5), slice(0, 0))
-        graph = drive(truth, sensors, 4, 0.01)
-        graph.solve()
-        errors.append(rmse(graph, truth))
-        assert not graph.georeferences
+        backend = drive(truth, sensors, 4, 0.01)
+        backend.solve()
+        errors.append(rmse(backend, truth))
+        assert not backend.graph.georeferences
     assert errors[1] < 0.7 * errors[0]
 
 
@@ -247,7 +247,7 @@ def test_odometry_ties_what_lies_on_both_sides_of_a_gap() -> None:
     lost = tuple(range(20, 40))
     apart = drive(truth, Sensors(), 0, 0.001, lost=lost)
     apart.solve()
-    assert {e.fragment for e in apart.estimates if e.map_from_robot} == {0, 1}
+    assert {e.fragment for e in apart.graph.estimates if e.map_from_robot} == {0, 1}
     for fed_before in (True, False):
         sensors = Sensors()
         readings = [
@@ -256,30 +256,30 @@ def test_odometry_ties_what_lies_on_both_sides_of_a_gap() -> None:
         ]
         for reading in readings if fed_before else []:
             sensors.odometry(reading)
-        graph = drive(truth, sensors, 0, 0.001, lost=lost)
+        backend = drive(truth, sensors, 0, 0.001, lost=lost)
         for reading in readings:
             sensors.odometry(reading)
         if fed_before:
-            assert [graph[i].status for i in lost] == ["predicted"] * 20
-        graph.solve()
-        assert {e.fragment for e in graph.estimates} == {0}
-        assert [graph[i].status for i in lost] == ["predicted"] * 20
-        assert all(graph[i].status == "tracked" for i in range(60) if i not in lost)
-        covariances = [graph[i].covariance for i in (19, 30, 39)]
+            assert [backend.graph[i].status for i in lost] == ["predicted"] * 20
+        backend.solve()
+        assert {e.fragment for e in backend.graph.estimates} == {0}
+        assert [backend.graph[i].status for i in lost] == ["predicted"] * 20
+        assert all(backend.graph[i].status == "tracked" for i in range(60) if i not in lost)
+        covariances = [backend.graph[i].covariance for i in (19, 30, 39)]
         assert all(covariance is not None for covariance in covariances)
         grown = [float(np.trace(c)) for c in covariances if c is not None]
         assert grown[0] < grown[1] < grown[2]
-        assert rmse(graph, truth) < 0.02
+        assert rmse(backend, truth) < 0.02
 
 
 def test_gps_ties_fragments_that_share_nothing() -> None:
     truth = winding(240, 0.3)
     sensors = Sensors()
     feel_gps(sensors, truth, np.random.default_rng(1), 0.5)
-    graph = drive(truth, sensors, 0, 0.001, breaks=(120,))
-    graph.solve()
-    assert {e.fragment for e in graph.estimates} == {0}
-    assert rmse(graph, truth) < 0.4
+    backend = drive(truth, sensors, 0, 0.001, breaks=(120,))
+    backend.solve()
+    assert {e.fragment for e in backend.graph.estimates} == {0}
+    assert rmse(backend, truth) < 0.4
 
 
 def test_a_disturbed_odometry_does_not_move_what_the_frames_show() -> None:
@@ -288,9 +288,9 @@ def test_a_disturbed_odometry_does_not_move_what_the_frames_show() -> None:
     for index, pose in enumerate(truth):
         slipped = Pose2(1.5 if index > 30 else 0.0) @ pose
         sensors.odometry(OdometryReading(index / RATE_HERTZ, slipped))
-    graph = drive(truth, sensors, 0, 0.001)
-    graph.solve()
-    assert rmse(graph, truth) < 0.02
+    backend = drive(truth, sensors, 0, 0.001)
+    backend.solve()
+    assert rmse(backend, truth) < 0.02
 
 
 CAMERA = CameraOptions(size=(400, 300), height_metres=0.2, pitch_degrees=45.0)
@@ -310,12 +310,12 @@ def test_a_plain_line_holds_the_heading_and_the_way_across_it_beside_odometry() 
         Pose2(0.03 * i, 0.01 * math.sin(0.3 * i), 0.05 * math.sin(0.3 * i + 1)) for i in range(5)
     ]
     mapper = slamcli.Mapper(photographer.calibration)
-    felt = Pose2()
+    measured = Pose2()
     for index, pose in enumerate(truth):
         if index:
             step = truth[index - 1].inverse() @ pose
-            felt = felt @ Pose2(1.02 * step.x, 1.02 * step.y, step.theta + 0.01)
-        mapper.odometry(OdometryReading(0.2 * index, felt))
+            measured = measured @ Pose2(1.02 * step.x, 1.02 * step.y, step.theta + 0.01)
+        mapper.odometry(OdometryReading(0.2 * index, measured))
         generator = np.random.default_rng(index)
         still = (pose, pose)
         picture = photograph.take(photographer, still, 0.0, DisturbanceOptions(), generator)
@@ -341,11 +341,11 @@ def test_ten_metres_of_blank_floor_are_bridged_by_odometry() -> None:
     bare = range(4, len(along) - 1)
     along += [along[-1] + 0.05 * (i + 1) for i in range(4)]
     truth = [Pose2(x, 0.02 * x * x, 0.04 * x) for x in along]
-    felt = [Pose2()]
+    measured = [Pose2()]
     for before, after in pairwise(truth):
         step = before.inverse() @ after
         drift = 0.004 * step.translation_length
-        felt.append(felt[-1] @ Pose2(1.02 * step.x, 1.02 * step.y, step.theta + drift))
+        measured.append(measured[-1] @ Pose2(1.02 * step.x, 1.02 * step.y, step.theta + drift))
     mapper = slamcli.Mapper(photographer.calibration)
     streamed = []
     for index, pose in enumerate(truth):
@@ -355,7 +355,7 @@ def test_ten_metres_of_blank_floor_are_bridged_by_odometry() -> None:
         if index not in bare:
             still = (pose, pose)
             picture = photograph.take(photographer, still, 0.0, DisturbanceOptions(), generator)
-        mapper.odometry(OdometryReading(0.2 * index, felt[index]))
+        mapper.odometry(OdometryReading(0.2 * index, measured[index]))
         streamed.append(mapper.update(slamcli.Frame(index, str(index), 0.2 * index, picture)))
     assert {streamed[index].status for index in bare} == {"predicted"}
     odom = [e.odom_from_robot for e in streamed if e.odom_from_robot is not None]
@@ -402,7 +402,7 @@ def stitch(folder: Path, output: Path, *options: str) -> str:
 
 
 def test_stitch_takes_what_the_robot_felt(drive_folder: Path, tmp_path: Path) -> None:
-    # BundleRound-grade, as the drive is short.
+    # Survey-grade, as the drive is short.
     truth = read_trajectory(drive_folder / "truth.csv")
     assert truth.stamps is not None
     exact = geodetic_from_local(truth.poses[:, :2], DATUM)
@@ -415,8 +415,8 @@ def test_stitch_takes_what_the_robot_felt(drive_folder: Path, tmp_path: Path) ->
     (frames / "0012.jpg").write_bytes(b"no picture")
     output = tmp_path / "out"
     sensors += ["--format", "png,geotiff"]
-    told = stitch(frames.parent, output, *sensors, "--export", "geojson,links,g2o")
-    assert told.startswith("0"), told
+    printed = stitch(frames.parent, output, *sensors, "--export", "geojson,links,g2o")
+    assert printed.startswith("0"), printed
     run = tomllib.loads((output / "run.toml").read_text())
     assert run["georeference"]["gps_readings"] >= 22
     assert run["georeference"]["x_axis_degrees_from_east"] == pytest.approx(0.0, abs=3.0)
@@ -435,11 +435,11 @@ def test_stitch_takes_what_the_robot_felt(drive_folder: Path, tmp_path: Path) ->
     assert links[0].startswith("a,b,kind")
     # Odometry between all frames that follow one another, besides.
     assert (output / "graph.g2o").read_text().count("EDGE_SE2") == len(links) - 1 + 25
-    assert "predicted    1, carried by odometry" in told
+    assert "predicted    1, carried by odometry" in printed
     rows = (output / "poses.csv").read_text().splitlines()
     assert rows[13].split(",")[3] == "predicted"
-    assert "on Earth     origin known to 0.0" in told
-    assert re.search(r"time offset +[+-]0\.0\d\d s", told)
+    assert "on Earth     origin known to 0.0" in printed
+    assert re.search(r"time offset +[+-]0\.0\d\d s", printed)
 
 
 def test_stitch_says_what_it_lacks(

@@ -1,4 +1,4 @@
-"""A map solved as it grows: loops are closed as they are found, at a cost that stays flat."""
+"""Fixed-lag smoothing: loops are closed as they are found, at a cost that stays flat."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def there_and_back(count: int) -> list[Pose2]:
 def drive(truth: list[Pose2], loops: dict[int, int]) -> Backend:
     """Steps with noise, and a loop from some frames on the way back to those on the way out."""
     generator = np.random.default_rng(4)
-    graph = Backend()
+    backend = Backend()
 
     def link(a: int, b: int, kind: Any) -> Link:
         error = Pose2(*generator.normal(0.0, SIGMA, 3))
@@ -37,15 +37,16 @@ def drive(truth: list[Pose2], loops: dict[int, int]) -> Backend:
     for index in range(len(truth)):
         frame = PreparedFrame(index, str(index), None, None, None, "")
         if index == 0:
-            graph.begin_fragment(frame)
+            backend.begin_fragment(frame)
             continue
-        graph.place(frame, [link(index - 1, index, "step")])
+        backend.place(frame, [link(index - 1, index, "step")])
         if index in loops:
-            graph.tie(index, [link(loops[index], index, "loop")])
-    return graph
+            backend.add_links(index, [link(loops[index], index, "loop")])
+    return backend
 
 
-def errors(graph: Backend, truth: list[Pose2]) -> np.ndarray:
+def errors(backend: Backend, truth: list[Pose2]) -> np.ndarray:
+    graph = backend.graph
     return np.array([(t.inverse() @ graph.pose(i)).translation_length for i, t in enumerate(truth)])
 
 
@@ -55,9 +56,9 @@ def test_loops_are_closed_as_they_are_found_at_a_cost_that_stays_flat(
     sizes: list[int] = []
     solve = posegraph.solve
 
-    def counted(initial: dict[int, Pose2], *given: Any, **told: Any) -> posegraph.Solution:
+    def counted(initial: dict[int, Pose2], *given: Any, **options: Any) -> posegraph.Solution:
         sizes.append(len(initial))
-        return solve(initial, *given, **told)
+        return solve(initial, *given, **options)
 
     monkeypatch.setattr(posegraph, "solve", counted)
     truth = there_and_back(OUT)
@@ -72,9 +73,9 @@ def test_loops_are_closed_as_they_are_found_at_a_cost_that_stays_flat(
     ends = slice(last - 100, None)
     assert errors(streamed, truth)[ends].mean() < 0.3 * errors(open_chain, truth)[ends].mean()
     # Sigmas too: what a window leaves is no surer than the solution of the whole.
-    latest = streamed[last].covariance
+    latest = streamed.graph[last].covariance
     streamed.solve()
-    whole = streamed[last].covariance
+    whole = streamed.graph[last].covariance
     assert latest is not None
     assert whole is not None
     assert np.all(np.diag(latest) > 0.5 * np.diag(whole))
@@ -84,9 +85,9 @@ def test_what_lies_before_a_loop_stays_where_it_is() -> None:
     truth = there_and_back(200)
     last = len(truth) - 1
     first = 150
-    graph = drive(truth, {})
-    chain = [graph.pose(index) for index in range(len(truth))]
+    backend = drive(truth, {})
+    chain = [backend.graph.pose(index) for index in range(len(truth))]
     closed = drive(truth, {b: last - b for b in (last - first, last - first + 1)})
-    assert [closed.pose(index) for index in range(first - 1)] == chain[: first - 1]
-    moved = [closed.pose(index) for index in range(first + 1, last - first)]
+    assert [closed.graph.pose(index) for index in range(first - 1)] == chain[: first - 1]
+    moved = [closed.graph.pose(index) for index in range(first + 1, last - first)]
     assert moved != chain[first + 1 : last - first]

@@ -1,12 +1,13 @@
-"""The pose graph of links alone solved with GTSAM, which is imported here and nowhere else.
+"""The pose graph of links alone solved with GTSAM: the oracle for `posegraph.sparse_solver`.
 
-GTSAM's Python has no factor for a heading or a place whose frame is unknown.
+GTSAM's Python has no factor for a heading or a position whose frame is unknown.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+import gtsam
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float64Array
@@ -15,46 +16,33 @@ from slamcli.stages.posegraph.sparse_solver import INLIER_PROBABILITY, MIN_WEIGH
 from slamcli.stages.posegraph.state import ANCHOR_SIGMA, GraphState
 
 _RELATIVE_ERROR = 1e-10
-# The next tightening begins where the last one left.
+# GTSAM starts each of them from the initial state.
 _STEPS_A_TIGHTENING = 2
 
 
-def optimise(problem: Problem, state: GraphState, weights: Float64Array) -> GraphState:
-    """Return the state of least squares of the factors with weight 1 near a first one."""
-    import gtsam
-
+def optimize(problem: Problem, state: GraphState, weights: Float64Array) -> GraphState:
+    """Return the state of least squares of the factors with weight 1 near an initial one."""
     graph = _fixed(problem, state)
-    for place in np.flatnonzero(weights).tolist():
-        graph.add(_factor(problem, place))
+    for factor in np.flatnonzero(weights).tolist():
+        graph.add(_factor(problem, factor))
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setRelativeErrorTol(_RELATIVE_ERROR)
     values = _values(state)
     return _state(state, gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize())
 
 
-def robust(problem: Problem, state: GraphState, suspects: BoolArray, held: BoolArray) -> BoolArray:
-    """Return which factors to keep: those under no suspicion, and the suspects that agree.
-
-    Parameters
-    ----------
-    problem : Problem
-    state : GraphState
-        A first one.
-    suspects : (F,) bool
-        Factors that may be false.
-    held : (F,) bool
-        Suspects without which the graph may fall apart; their weight never vanishes.
-    """
-    import gtsam
-
+def robust(
+    problem: Problem, state: GraphState, suspects: BoolArray, needed: BoolArray
+) -> BoolArray:
+    """Return which factors to keep, as `sparse_solver.robust`."""
     graph = _fixed(problem, state)
-    for place in np.flatnonzero(held).tolist():
-        graph.add(_factor(problem, place, MIN_WEIGHT))
-    for place in np.flatnonzero(~suspects).tolist():
-        graph.add(_factor(problem, place))
+    for factor in np.flatnonzero(needed).tolist():
+        graph.add(_factor(problem, factor, MIN_WEIGHT))
+    for factor in np.flatnonzero(~suspects).tolist():
+        graph.add(_factor(problem, factor))
     known = graph.size()
-    for place in np.flatnonzero(suspects).tolist():
-        graph.add(_factor(problem, place))
+    for factor in np.flatnonzero(suspects).tolist():
+        graph.add(_factor(problem, factor))
     inner = gtsam.LevenbergMarquardtParams()
     inner.setMaxIterations(_STEPS_A_TIGHTENING)
     parameters = gtsam.GncLMParams(inner)
@@ -69,9 +57,7 @@ def robust(problem: Problem, state: GraphState, suspects: BoolArray, held: BoolA
 
 
 def _fixed(problem: Problem, state: GraphState) -> Any:
-    """Return a graph of the poses that are held."""
-    import gtsam
-
+    """Return a graph of the fixed poses."""
     graph = gtsam.NonlinearFactorGraph()
     firm = gtsam.noiseModel.Isotropic.Sigma(3, ANCHOR_SIGMA)
     for anchor in problem.anchors.tolist():
@@ -79,20 +65,16 @@ def _fixed(problem: Problem, state: GraphState) -> Any:
     return graph
 
 
-def _factor(problem: Problem, place: int, weight: float = 1.0) -> Any:
-    import gtsam
-
+def _factor(problem: Problem, number: int, weight: float = 1.0) -> Any:
     motions = problem.motions
     # GTSAM wants this root upper triangular, and takes a lower one's diagonal for all of it.
-    root = np.linalg.qr(np.sqrt(weight) * motions.whitening[place], mode="r")
+    root = np.linalg.qr(np.sqrt(weight) * motions.whitening[number], mode="r")
     noise = gtsam.noiseModel.Gaussian.SqrtInformation(root)
-    motion = gtsam.Pose2(*motions.a_from_b[place])
-    return gtsam.BetweenFactorPose2(motions.a[place], motions.b[place], motion, noise)
+    motion = gtsam.Pose2(*motions.a_from_b[number])
+    return gtsam.BetweenFactorPose2(motions.a[number], motions.b[number], motion, noise)
 
 
 def _values(state: GraphState) -> Any:
-    import gtsam
-
     values = gtsam.Values()
     for key, pose in enumerate(state.poses.tolist()):
         values.insert(key, gtsam.Pose2(*pose))
@@ -102,4 +84,4 @@ def _values(state: GraphState) -> Any:
 def _state(state: GraphState, values: Any) -> GraphState:
     solved = [values.atPose2(key) for key in range(len(state.poses))]
     poses = np.array([(pose.x(), pose.y(), pose.theta()) for pose in solved])
-    return GraphState(poses, state.senses)
+    return GraphState(poses, state.offsets)

@@ -1,0 +1,165 @@
+"""Motion model: predicts the motion to the next frame, and bounds where that frame is searched.
+
+Odometry where it was measured, else constant velocity: the robot is expected to repeat its latest
+motion.
+"""
+
+from __future__ import annotations
+
+import math
+
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import MapperOptions
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import Link, PreparedFrame
+from slamcli.mapping.backend.pose_graph import PoseGraphReader
+from slamcli.mapping.backend.sensors import Sensors
+from slamcli.mapping.tracking_state import TrackingState
+from slamcli.stages import dense
+
+# Without a known motion, frames at most this far apart may lie anywhere in each other's view.
+# [guarded by benchmarks/robustness.py]
+_MAX_UNGUIDED_STEPS = 2
+# Sigmas of odometry that a search window adds to the free motion of one step.
+_SEARCHED_SIGMAS = 3.0
+# No window is searched whose radius is a larger multiple of the camera's range: within it pixels
+# alone are no proof. [guarded by benchmarks/robustness.py]
+_MAX_RADIUS_IN_RANGES = 2.0
+
+
+class MotionModel:
+    """Predictions of the robot's motion from odometry and from its latest motion.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    options : MapperOptions
+    tracking : TrackingState
+        Its motion is updated by `update` alone.
+    graph : PoseGraphReader
+    sensors : Sensors
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        options: MapperOptions,
+        tracking: TrackingState,
+        graph: PoseGraphReader,
+        sensors: Sensors,
+    ) -> None:
+        self._max_radius_metres = _MAX_RADIUS_IN_RANGES * calibration.max_range_metres
+        # Free motion in one step, beside what is predicted.
+        self._step_metres = options.search_share_of_range * calibration.max_range_metres
+        self._angle_radians = math.radians(options.search_angle_degrees)
+        self._tracking = tracking
+        self._graph = graph
+        self._sensors = sensors
+
+    def update(self, index: int) -> None:
+        """Take the motion from the frame before to a new one, if both are of one fragment."""
+        before, now = self._graph.get(index - 1), self._graph[index]
+        self._tracking.motion = None
+        if before is not None and before.fragment == now.fragment:
+            start = self._graph.pose(before.index)
+            self._tracking.motion = start.inverse() @ self._graph.pose(index)
+            self._tracking.motion_frame = index
+
+    def by_odometry(self, index: int, prepared: PreparedFrame) -> Link | None:
+        """Return the motion from a known frame to a new one by odometry; None without readings."""
+        return self._sensors.link(self._graph[index], prepared)
+
+    def predict_from_motion(self, keyframe: PreparedFrame, prepared: PreparedFrame) -> Pose2 | None:
+        """Return ``keyframe_from_prepared`` by constant velocity; None without a latest motion."""
+        motion, frame = self._tracking.motion, self._tracking.motion_frame
+        if motion is None or frame != prepared.index - 1:
+            return None
+        if self._graph[keyframe.index].fragment != self._graph[frame].fragment:
+            return None
+        return self._motion_from(keyframe) @ motion
+
+    def predict_from_link(self, keyframe: PreparedFrame, link: Link) -> Pose2 | None:
+        """Return ``keyframe_from_b`` by way of a link from another keyframe of its fragment."""
+        if self._graph[link.a].fragment != self._graph[keyframe.index].fragment:
+            return None
+        keyframe_from_a = self._graph.pose(keyframe.index).inverse() @ self._graph.pose(link.a)
+        return keyframe_from_a @ link.a_from_b
+
+    def window(self, keyframe: PreparedFrame, prepared: PreparedFrame) -> dense.SearchWindow | None:
+        """Return where a frame may lie for a placed one; None where pixels alone are no proof.
+
+        A periodic floor looks the same one period further on: the window excludes what the robot
+        cannot have reached.
+        """
+        if (window := self._window_from_odometry(keyframe, prepared)) is not None:
+            return window
+        if self._tracking.motion is None:
+            return self._window_everywhere(keyframe, prepared)
+        steps = prepared.index - self._tracking.motion_frame
+        return self._window_from_motion(self._tracking.motion, self._motion_from(keyframe), steps)
+
+    def window_after_lost(
+        self, last_lost: PreparedFrame, prepared: PreparedFrame
+    ) -> dense.SearchWindow | None:
+        """Return where a frame may lie for the lost one before it; None as in `window`."""
+        if (window := self._window_from_odometry(last_lost, prepared)) is not None:
+            return window
+        if self._tracking.motion is None:
+            return self._window_everywhere(last_lost, prepared)
+        steps = prepared.index - last_lost.index
+        return self._window_from_motion(self._tracking.motion, Pose2(), steps)
+
+    def window_back(
+        self, prepared: PreparedFrame, last_lost: PreparedFrame
+    ) -> dense.SearchWindow | None:
+        """Return where a lost frame may lie for a later, placed one: between it and the one before.
+
+        None as in `window`.
+        """
+        before = self._graph.get(last_lost.index - 1)
+        here = self._graph[prepared.index]
+        if before is None or before.fragment != here.fragment or before.map_from_robot is None:
+            return self._window_everywhere(last_lost, prepared)
+        back = self._graph.pose(prepared.index).inverse() @ before.map_from_robot
+        share = (prepared.index - last_lost.index) / (prepared.index - before.index)
+        middle = Pose2(share * back.x, share * back.y, share * back.theta)
+        radius_metres = self._step_metres + share * back.translation_length
+        return dense.SearchWindow(middle, self._angle_radians, radius_metres)
+
+    def _window_from_odometry(
+        self, other: PreparedFrame, prepared: PreparedFrame
+    ) -> dense.SearchWindow | None:
+        """Return a window about the motion by odometry; None without readings or when too wide."""
+        link = self.by_odometry(other.index, prepared)
+        if link is None:
+            return None
+        sigma_metres = math.sqrt(link.covariance[:2, :2].max())
+        radius_metres = self._step_metres + _SEARCHED_SIGMAS * sigma_metres
+        if radius_metres > self._max_radius_metres:
+            return None
+        return dense.SearchWindow(link.a_from_b, self._angle_radians, radius_metres)
+
+    def _window_everywhere(
+        self, other: PreparedFrame, prepared: PreparedFrame
+    ) -> dense.SearchWindow | None:
+        """Return a window without bound for frames that follow each other; None for others."""
+        if prepared.index - other.index > _MAX_UNGUIDED_STEPS:
+            return None
+        return dense.SearchWindow(angle_radians=self._angle_radians)
+
+    def _window_from_motion(
+        self, motion: Pose2, start: Pose2, steps: int
+    ) -> dense.SearchWindow | None:
+        """Return a window about `steps` times the latest motion; None when too wide."""
+        radius_metres = steps * (self._step_metres + motion.translation_length)
+        if steps > _MAX_UNGUIDED_STEPS and radius_metres > self._max_radius_metres:
+            return None
+        predicted = start
+        for _ in range(steps):
+            predicted = predicted @ motion
+        return dense.SearchWindow(predicted, self._angle_radians, radius_metres)
+
+    def _motion_from(self, keyframe: PreparedFrame) -> Pose2:
+        """Return ``keyframe_from_latest`` of the frame whose motion is the latest known."""
+        latest = self._graph.pose(self._tracking.motion_frame)
+        return self._graph.pose(keyframe.index).inverse() @ latest

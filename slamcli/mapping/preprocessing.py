@@ -1,0 +1,59 @@
+"""Preprocessing: a frame's bird's-eye views, features and pyramids, which need no other frame."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import MapperOptions
+from slamcli.core.errors import FrameError
+from slamcli.core.geometry import Grid
+from slamcli.core.records import Frame, PreparedFrame
+from slamcli.registration.preparation import assemble
+from slamcli.stages import dense, features, view
+
+
+class Preprocessor:
+    """Makes frames of one camera ready for registration.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    options : MapperOptions
+    """
+
+    def __init__(self, calibration: Calibration, options: MapperOptions) -> None:
+        self.metres_per_pixel = options.metres_per_pixel or view.registration_metres_per_pixel(
+            calibration
+        )
+        self._calibration = calibration
+        self._features = options.features
+        self._tilt_radians = math.radians(options.tilt_sigma_degrees)
+        self._resamplers = [view.make_view_resampler(calibration, self.metres_per_pixel)]
+        if options.dense:
+            far = view.make_far_resampler(calibration, self.metres_per_pixel)
+            self._resamplers += [] if far is None else [far]
+        self._masks = [dense.make_stencils(resampler.mask) for resampler in self._resamplers]
+
+    @property
+    def grid(self) -> Grid:
+        """Of the near view, in the robot frame."""
+        return self._resamplers[0].grid
+
+    def prepare(self, frame: Frame) -> PreparedFrame:
+        """Return the prepared frame, or one with the reason why it cannot be used; never raises."""
+        try:
+            view.check_frame(frame, self._calibration)
+            views = view.make_compared_views(frame, self._resamplers)
+            near = views[0]
+            view.check_view(near)
+            found = features.extract(near, self._calibration, self._features, self._tilt_radians)
+            # With a mask of its own, a frame's views have other masks than the camera's.
+            return assemble(frame, views, found, self._masks if frame.mask is None else None)
+        except FrameError as error:
+            reason = str(error)
+        except (cv2.error, ValueError, TypeError) as error:
+            reason = f"cannot be processed: {' '.join(str(error).split())}"
+        return PreparedFrame(frame.index, frame.name, frame.stamp, None, None, reason)

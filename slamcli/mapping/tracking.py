@@ -1,0 +1,131 @@
+"""Tracking: registers a frame to the latest keyframes, and selects the next keyframe."""
+
+from __future__ import annotations
+
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import MapperOptions
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import PreparedFrame
+from slamcli.mapping.motion_model import MotionModel
+from slamcli.mapping.tracking_state import TrackingState
+from slamcli.registration import RegistrationResult, register
+from slamcli.stages import dense
+
+# A second link confirms the first, however little floor it shares. A third that shares less than
+# this does not improve a steady camera's pose, and worsens a rocking one's.
+# [guarded by benchmarks/robustness.py, rocking]
+_MIN_OVERLAP_OF_THIRD = 0.4
+
+
+class Tracker:
+    """Registration of each frame to the latest keyframes, guided by the motion model.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    options : MapperOptions
+    tracking : TrackingState
+        Read, not changed.
+    motion_model : MotionModel
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        options: MapperOptions,
+        tracking: TrackingState,
+        motion_model: MotionModel,
+    ) -> None:
+        self._calibration = calibration
+        self._options = options
+        self._tracking = tracking
+        self._motion_model = motion_model
+
+    def track(
+        self, prepared: PreparedFrame, before: PreparedFrame | None
+    ) -> list[RegistrationResult]:
+        """Register a frame to the latest keyframes, the newest first.
+
+        After the first accepted registration, older keyframes are used while its overlap is small
+        and theirs is large enough. Without an accepted one, the frame is registered to the latest
+        placed one by its pixels.
+
+        Parameters
+        ----------
+        prepared : PreparedFrame
+        before : PreparedFrame or None
+            The frame before it that could be used.
+        """
+        results: list[RegistrationResult] = []
+        for keyframe in reversed(self._tracking.keyframes):
+            accepted = [(r, r.link) for r in results if r.link is not None]
+            guess = None
+            if accepted:
+                result, link = accepted[0]
+                if result.overlap >= self._options.keyframe_overlap:
+                    break
+                guess = self._motion_model.predict_from_link(keyframe, link)
+                third = len(accepted) >= 2
+                min_overlap = _MIN_OVERLAP_OF_THIRD if third else self._options.min_overlap
+                if guess is None or _overlap(keyframe, prepared, guess) < min_overlap:
+                    continue
+            expected = self._motion_model.predict_from_motion(keyframe, prepared)
+            results.append(self.register(keyframe, prepared, guess, expected=expected))
+        if any(result.link is not None for result in results):
+            return results
+        return results + self._track_by_pixels(prepared, before)
+
+    def is_keyframe(self, results: list[RegistrationResult]) -> bool:
+        """Keyframe selection: a frame becomes one that shares little floor with the keyframes.
+
+        So does a relocalised one, as the keyframes before it lie elsewhere.
+        """
+        accepted = [result for result in results if result.link is not None]
+        overlap = max(result.overlap for result in accepted)
+        first = accepted[0].link
+        return overlap < self._options.keyframe_overlap or (
+            first is not None and first.kind == "loop"
+        )
+
+    def register(
+        self,
+        keyframe: PreparedFrame,
+        prepared: PreparedFrame,
+        guess: Pose2 | None = None,
+        *,
+        window: dense.SearchWindow | None = None,
+        expected: Pose2 | None = None,
+    ) -> RegistrationResult:
+        """Register one frame to another; the parameters are those of `registration.register`."""
+        calibration, options = self._calibration, self._options
+        return register(
+            keyframe, prepared, guess, calibration, options, window=window, expected=expected
+        )
+
+    def _track_by_pixels(
+        self, prepared: PreparedFrame, before: PreparedFrame | None
+    ) -> list[RegistrationResult]:
+        """Register a frame to the latest placed one: in a window, then about the latest motion."""
+        if not self._tracking.keyframes:
+            return []
+        newest = self._tracking.keyframes[-1]
+        recent = self._tracking.last_placed or newest
+        attempts: list[tuple[Pose2 | None, dense.SearchWindow | None]] = []
+        window = self._motion_model.window(recent, prepared)
+        if (self._options.dense and window is not None) or recent is not newest:
+            attempts.append((None, window))
+        # Near a guess, descriptors compete with fewer others.
+        if self._tracking.motion is not None and recent is before:
+            attempts.append((self._tracking.motion, None))
+        results = []
+        for guess, window in attempts:
+            results.append(self.register(recent, prepared, guess, window=window))
+            if results[-1].link is not None:
+                break
+        return results
+
+
+def _overlap(keyframe: PreparedFrame, prepared: PreparedFrame, guess: Pose2) -> float:
+    assert keyframe.view is not None
+    assert prepared.view is not None
+    return dense.overlap(keyframe.view, prepared.view, guess)

@@ -1,0 +1,122 @@
+"""Relocalisation: a frame with no pose prior is found, or rejected with the reason."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import slamcli
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import Frame, PoseEstimate, PreparedFrame
+from slamcli.mapping.backend.pose_graph import PoseGraph
+from slamcli.mapping.keyframes import KeyframeDatabase, encode_keyframe
+from slamcli.mapping.preprocessing import Preprocessor
+from slamcli.mapping.relocalization import Relocalizer, are_near
+from slamcli.simulation import floors, photograph
+from slamcli.simulation.config import CameraOptions, DisturbanceOptions
+from slamcli.stages.place_index import PlaceCandidate
+
+CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
+
+
+class Floor:
+    """An asphalt floor, a camera over it, and a map of some keyframes."""
+
+    def __init__(self) -> None:
+        floor = floors.make_floor("asphalt", 0.0, 0.001, seed=3)
+        camera = photograph.make_camera(CAMERA)
+        self.photographer = photograph.Photographer(photograph.World(floor), camera)
+        self.camera = camera
+        self.options = slamcli.MapperOptions()
+        self.preprocessor = Preprocessor(camera, self.options)
+
+    def look(self, pose: Pose2, index: int) -> PreparedFrame:
+        generator = np.random.default_rng(index)
+        still = (pose, pose)
+        image = photograph.take(self.photographer, still, 0.0, DisturbanceOptions(), generator)
+        return self.preprocessor.prepare(Frame(index, str(index), None, image))
+
+    def map(self, keyframes: dict[Pose2, Pose2]) -> tuple[Relocalizer, PoseGraph]:
+        """Keyframes taken at some poses and, by the graph, at others."""
+        database = KeyframeDatabase(self.preprocessor.grid, self.options.matching.seed)
+        graph = PoseGraph()
+        for index, (true, mapped) in enumerate(keyframes.items()):
+            database.add(encode_keyframe(self.look(true, index)))
+            covariance = 1e-8 * np.eye(3)
+            graph.set_estimate(
+                PoseEstimate(index, str(index), None, mapped, "tracked", "", 0, covariance)
+            )
+        return Relocalizer(self.camera, self.options, database), graph
+
+
+@pytest.fixture(scope="module")
+def floor() -> Floor:
+    return Floor()
+
+
+def test_a_frame_is_found_at_any_heading_and_one_of_other_floor_is_not(floor: Floor) -> None:
+    relocalizer, graph = floor.map({Pose2(): Pose2(), Pose2(0.1): Pose2(0.1)})
+    middle = Pose2(0.22)
+    truth = middle @ Pose2(0.02, 0.01, 2.0) @ middle.inverse()
+    prepared = floor.look(truth, 10)
+    found = relocalizer.verify(prepared, relocalizer.query(prepared.features), graph)
+    assert found.link is not None
+    assert found.link.kind == "loop"
+    error = truth.inverse() @ graph.predict_pose(prepared, [found.link]).map_from_robot
+    assert error.translation_length < 0.002
+    assert abs(math.degrees(error.theta)) < 0.3
+    elsewhere = floor.look(Pose2(7.0, 3.0), 11)
+    missed = relocalizer.verify(elsewhere, relocalizer.query(elsewhere.features), graph)
+    assert missed.link is None
+    assert missed.reason.startswith("not here: no place")
+
+
+def test_two_places_that_look_alike_are_ambiguous_and_one_place_is_not(floor: Floor) -> None:
+    prepared = floor.look(Pose2(0.05), 9)
+    # The same floor from two poses that the graph has 4 m apart, and from those it was taken at.
+    for mapped, ambiguous in ((Pose2(4.0), True), (Pose2(0.02), False)):
+        relocalizer, graph = floor.map({Pose2(): Pose2(), Pose2(0.02): mapped})
+        found = relocalizer.verify(prepared, relocalizer.query(prepared.features), graph)
+        assert ("ambiguous: 2 places" in found.reason) == ambiguous
+        assert (found.link is None) == ambiguous
+
+
+def test_candidates_that_lead_to_one_place_are_one(
+    floor: Floor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Votes are rough: two places by the votes may be one by the registrations."""
+    relocalizer, graph = floor.map({Pose2(): Pose2(), Pose2(0.02): Pose2(0.02)})
+    true = {0: Pose2(0.05), 1: Pose2(0.03)}
+    candidates = [PlaceCandidate(0, true[0], 9), PlaceCandidate(1, true[1] @ Pose2(0.5), 9)]
+    register = relocalizer.register
+    monkeypatch.setattr(relocalizer, "register", lambda a, now, _: register(a, now, true[a]))
+    assert relocalizer.verify(floor.look(Pose2(0.05), 9), candidates, graph).link is not None
+
+
+def test_a_keyframe_without_a_pose_is_no_place(floor: Floor) -> None:
+    relocalizer, graph = floor.map({Pose2(): Pose2()})
+    graph.set_estimate(PoseEstimate(0, "0", None, None, "lost", "unknown"))
+    prepared = floor.look(Pose2(0.02), 9)
+    assert relocalizer.query(prepared.features)
+    found = relocalizer.verify(prepared, relocalizer.query(prepared.features), graph)
+    assert found.reason.startswith("not here: no place")
+
+
+def test_only_a_registration_with_many_inliers_is_reliable(floor: Floor) -> None:
+    relocalizer, _ = floor.map({Pose2(): Pose2()})
+    result = relocalizer.register(0, floor.look(Pose2(0.02), 9), Pose2(0.02))
+    assert relocalizer.is_reliable(result)
+    strict = slamcli.MapperOptions(
+        matching=slamcli.MatchOptions(min_inliers=result.alignment.inlier_count // 2)
+    )
+    database = relocalizer.database
+    assert not Relocalizer(floor.camera, strict, database).is_reliable(result)
+
+
+def test_poses_are_near_within_a_distance_and_an_angle() -> None:
+    here = Pose2(1.0, 2.0, 3.1)
+    assert are_near(here, here @ Pose2(0.03, 0.04, 0.09), 0.051, 0.1)
+    assert not are_near(here, here @ Pose2(0.03, 0.04, 0.09), 0.049, 0.1)
+    assert not are_near(here, here @ Pose2(0.03, 0.04, -0.11), 0.051, 0.1)
