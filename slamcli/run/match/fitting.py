@@ -23,7 +23,7 @@ from slamcli.stages import align, dense, features, local_correlation, view
 # [guarded by tests/run/match/test_match.py].
 MIN_CORRELATION = 0.4
 # With several recipes to choose from, so few inliers are accepted when the pixels agree this well
-# [guarded by tests/run/match/test_appendix_a.py].
+# [guarded by tests/run/match].
 MIN_CONFIRMED_INLIERS = 6
 CONFIRMING_CORRELATION = 0.7
 # With this many times the inliers needed, no other recipe is tried.
@@ -55,7 +55,7 @@ class FeatureRecipe:
 
 # From fast to slow: what fits two similar pictures comes first; small or blurred ones need an
 # enlargement, or the scale space of SIFT, which ORB's eight levels only approximate
-# [guarded by tests/run/match/test_appendix_a.py].
+# [guarded by tests/run/match].
 AUTO_RECIPES: Final = (
     FeatureRecipe("orb", 1, 4000),
     FeatureRecipe("orb", 2, 10000),

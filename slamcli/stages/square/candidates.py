@@ -30,8 +30,8 @@ _MAX_PIECES = 10
 _MAX_VERTICES = 40
 _FEW_SAMPLES_PER_SIDE = 6
 _SAMPLES_PER_SIDE = 24
-# Share of the samples along the sides that must show the step
-# [guarded by tests/stages/test_square.py].
+# Share of the samples along the sides that must show the step: saves refining what `search` rejects
+# too (no test depends on its value).
 _MIN_SUPPORT = 0.35
 # Two quadrilaterals are one when no corner differs by more than this share of their size.
 _SAME_SHARE = 0.06

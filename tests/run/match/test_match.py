@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from types import SimpleNamespace
 
 import cv2
 import floor_pictures
@@ -12,10 +13,12 @@ import pytest
 from click.testing import CliRunner
 
 from slamcli.cli.main import main
+from slamcli.core.config import FeatureOptions, MatchOptions
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import View
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import write_image
+from slamcli.run.match import fitting
 from slamcli.stages import local_correlation
 
 SCALE, DEGREES = 0.8, 25.0
@@ -104,6 +107,16 @@ def test_a_fit_that_the_pixels_contradict_is_rejected(pictures, monkeypatch):
         result = run(pictures / "first picture.png", pictures / "second.png", "--features", "orb")
         assert result.exit_code == 1
         assert words in result.stdout
+
+
+def test_few_inliers_are_accepted_only_where_the_pixels_agree_well(monkeypatch):
+    recipes = fitting.AUTO_RECIPES[:1] * 2
+    for correlation, accepted in ((0.5, False), (0.75, True)):
+        fit = fitting.PairFit(recipes[0], SimpleNamespace(inlier_count=8), (), (), correlation, "")
+        monkeypatch.setattr(fitting, "_fit_by", lambda *_, fit=fit: fit)
+        monkeypatch.setattr(fitting, "_affordable", lambda *_: True)
+        found = fitting.fit_pair(None, None, recipes, FeatureOptions(), MatchOptions())
+        assert (not found.reason) == accepted
 
 
 def test_windows_agree_only_under_the_true_motion():
