@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 DEMO ?= demo
 
-.PHONY: demo test lint bench samples clean
+.PHONY: demo test test-all lint docs figures bench samples clean
 
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -15,6 +15,10 @@ $(VENV)/installed-dev: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	touch $@
 
+$(VENV)/installed-docs: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	touch $@
+
 demo: $(VENV)/installed
 	$(BIN)/slam calibrate samples/course/square.png --side 0.3048 -o $(DEMO)/calibration.yaml --overwrite
 	$(BIN)/slam stitch samples/course/frames -c $(DEMO)/calibration.yaml -o $(DEMO)/map --overwrite
@@ -22,10 +26,21 @@ demo: $(VENV)/installed
 test: $(VENV)/installed-dev lint
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
+# What is slow, too.
+test-all: $(VENV)/installed-dev lint
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m ""
+
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+
+docs: $(VENV)/installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+
+# Draws the pictures of the documentation anew, with the commands that the pages show.
+figures: $(VENV)/installed
+	$(BIN)/python docs/figures.py
 
 # The stitching package brings another build of OpenCV: it gets a place of its own.
 bench:
@@ -37,4 +52,4 @@ samples: $(VENV)/installed
 	$(BIN)/python samples/make.py
 
 clean:
-	rm -rf $(VENV) $(VENV)-bench $(DEMO)
+	rm -rf $(VENV) $(VENV)-bench $(DEMO) site

@@ -1,11 +1,11 @@
-"""How far long drives end up from the truth: as a chain, with loops closed, and by plain ORB.
+"""Trajectory error of long drives: as a chain, with loops closed, and by plain ORB.
 
 Run: python benchmarks/accuracy.py [--drives a,b] [--keep FOLDER] [--json FILE]. Each drive is made
 by `slam simulate` and mapped by `slam stitch` with its true calibration, with `--no-loops` and
 without. The plain chain beside them gets the same bird's-eye views by the true homography: ORB,
 ratio test, cv2.estimateAffinePartial2D, from frame to frame. Aligned with the truth as
-`slam evaluate` does it. NEES is 3 when the sigmas are honest. With --keep FOLDER what is made stays
-there, and what is there already is not made again.
+`slam evaluate` does it. NEES is 3 when the sigmas are consistent. With --keep FOLDER results stay
+there, and existing ones are not made again.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ MAPPINGS = {"open": "--no-loops", "closed": "--loops"}
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a drive, mapped in one way."""
+    """Result of one mapping of one drive."""
 
     drive: str
     mapping: str
@@ -61,8 +61,8 @@ def simulate(folder: Path, drive: str, seed: int) -> None:
     """Take a drive's frames, unless they are there."""
     if not (folder / "truth.csv").exists():
         floor, path, length, frames = DRIVES[drive]
-        way = ("--floor", floor, "--path", path, "--length", str(length))
-        run("simulate", str(folder), *way, "--frames", str(frames), "--seed", str(seed))
+        course = ("--floor", floor, "--path", path, "--length", str(length))
+        run("simulate", str(folder), *course, "--frames", str(frames), "--seed", str(seed))
 
 
 def run(*arguments: str) -> None:
@@ -101,7 +101,7 @@ def measure(folder: Path, drive: str, mapping: str) -> Outcome:
     poses = plain(folder) if mapping == "plain ORB" else stitch(folder, mapping)
     found = evaluate(poses, read_trajectory(folder / "truth.csv"), tolerance_seconds=0.01, delta=1)
     whole = found.whole
-    honest = whole.consistency
+    consistency = whole.consistency
     return Outcome(
         drive,
         mapping,
@@ -113,8 +113,8 @@ def measure(folder: Path, drive: str, mapping: str) -> Outcome:
         whole.absolute_share_of_path,
         1e3 * whole.relative.rmse,
         whole.heading.rmse,
-        math.nan if honest is None else honest.nees,
-        math.nan if honest is None else honest.within_95_percent,
+        math.nan if consistency is None else consistency.nees,
+        math.nan if consistency is None else consistency.within_95_percent,
     )
 
 
@@ -135,7 +135,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--json", type=Path)
-    told = parser.parse_args()
+    arguments = parser.parse_args()
     print(
         "| drive | mapping | placed | fragments | path m | ATE mm | of the path | RPE mm "
         "| heading degrees | NEES | within 95 % |"
@@ -143,14 +143,16 @@ def main() -> None:
     print("|" + "---|" * 11)
     outcomes = []
     with tempfile.TemporaryDirectory() as scratch:
-        for drive in told.drives.split(","):
-            folder = (told.keep or Path(scratch)) / drive
-            simulate(folder, drive, told.seed)
+        for drive in arguments.drives.split(","):
+            folder = (arguments.keep or Path(scratch)) / drive
+            simulate(folder, drive, arguments.seed)
             for mapping in ("plain ORB", *MAPPINGS):
                 outcomes.append(measure(folder, drive, mapping))
                 print(row(outcomes[-1]), flush=True)
-    if told.json:
-        told.json.write_text(json.dumps([asdict(found) for found in outcomes], indent=2) + "\n")
+    if arguments.json:
+        arguments.json.write_text(
+            json.dumps([asdict(found) for found in outcomes], indent=2) + "\n"
+        )
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
-from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import top_down_calibration
 from slamcli.core.geometry import Pose2, pose_array
 from slamcli.core.records import Features, Link, PreparedFrame
 from slamcli.core.telemetry import CompassReading, GpsReading
@@ -146,7 +146,7 @@ def stream(world: World, backend: Backend) -> list[float]:
 def find_loops(world: World, graph: PoseGraph) -> tuple[int, list[Link], float]:
     """Return how many pairs see the same floor by the poses, their links, and the seconds."""
     started = time.process_time()
-    calibration = projection.top_down_calibration((128, 128))
+    calibration = top_down_calibration((128, 128))
     # Its views are as many metres wide as pixels.
     shrunk = pose_array([graph.pose(i) for i in range(len(world.poses))])
     shrunk[:, :2] *= 128.0 / SIDE_METRES

@@ -1,10 +1,10 @@
-"""How near each blend comes to the true floor, with the true poses of a simulated drive.
+"""Fidelity of each blend to the true floor, with the true poses of a simulated drive.
 
-Run: python benchmarks/blends.py DRIVE [--floor NAME] [--metres-per-pixel M] [--things DRIVE
-[--only-things]]. DRIVE is what `slam simulate` has written. Beside the blends stand the plain mean
-of pictures as they are, and `cv2.detail.MultiBandBlender`. --things is the same drive with
---walkers or --boxes: of its frames that show any, so many take the place of the first's that 15 %
-of the views do.
+Run: python benchmarks/blends.py DRIVE [--floor NAME] [--metres-per-pixel M] [--obstacles DRIVE
+[--only-obstacles]]. DRIVE is what `slam simulate` has written. Compared with the blends are the
+plain mean of images as they are, and `cv2.detail.MultiBandBlender`. --obstacles is the same drive
+with --walkers or --boxes: frames of it that show any replace those of the first, until 15 % of the
+views do.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from peers import COURSE_START, likeness
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import footprint_hull
 from slamcli.core.config import PaintOptions
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Frame, PosedFrame
@@ -32,11 +32,11 @@ from slamcli.stages.mosaic.blend import BLENDS
 from slamcli.stages.mosaic.exposure import Exposure
 from slamcli.stages.mosaic.painter import Painter
 
-THINGS_SHARE = 0.15
-# A frame shows something when so much of it differs by more than noise does.
+OBSTACLES_SHARE = 0.15
+# A frame shows an obstacle when this share of it differs by more than noise does.
 _DIFFERENT_GRAY, _MIN_SHARE = 12, 0.002
-# Rays from afar see so little that they would drown what blends differ by.
-_MIN_SHARPNESS_SHARE = 0.12
+# Floor seen from afar has so little texture that it would hide what blends differ by.
+_MIN_RESOLUTION_SHARE = 0.12
 _ENOUGH_VIEWS = 2
 
 
@@ -45,7 +45,7 @@ class Drive:
     """A simulated drive in memory."""
 
     calibration: Calibration
-    shots: list[PosedFrame]
+    posed_frames: list[PosedFrame]
     frames: list[Frame]
 
 
@@ -54,20 +54,20 @@ def load(folder: Path) -> Drive:
     calibration = load_calibration(folder / "camera.yaml")
     rows = list(csv.DictReader((folder / "truth.csv").open()))
     poses = [Pose2(float(row["x"]), float(row["y"]), float(row["heading"])) for row in rows]
-    shots = [PosedFrame(number, pose, calibration) for number, pose in enumerate(poses)]
-    return Drive(calibration, shots, [read_frame(file) for file in list_frames([folder])])
+    posed_frames = [PosedFrame(number, pose, calibration) for number, pose in enumerate(poses)]
+    return Drive(calibration, posed_frames, [read_frame(file) for file in list_frames([folder])])
 
 
-def evened(drive: Drive, frames: list[Frame]) -> Exposure:
+def estimated_exposure(drive: Drive, frames: list[Frame]) -> Exposure:
     """Return the frames' gains and the lens's vignetting."""
-    hull = projection.footprint_hull(drive.calibration)
+    hull = footprint_hull(drive.calibration)
     step = exposure.comparison_step(drive.calibration)
     observed = []
-    for frame, shot in zip(frames, drive.shots, strict=True):
-        small = exposure.reduced(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY))
-        pose = shot.map_from_robot
+    for frame, posed in zip(frames, drive.posed_frames, strict=True):
+        small = exposure.thumbnail(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY))
+        pose = posed.map_from_robot
         observed.append(exposure.observe(small, drive.calibration, hull, pose, step))
-    return exposure.solve(observed)
+    return exposure.estimate_exposure(observed)
 
 
 def paint(
@@ -76,27 +76,28 @@ def paint(
     options: PaintOptions,
     light: Exposure | None,
 ) -> tuple[Grid, NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint16]]:
-    """Return a map's grid, its picture, how sharply and by how many views each pixel was seen."""
+    """Return a map's grid, its image, and the resolution and the number of views of each pixel."""
     scale = options.metres_per_pixel
     assert scale is not None
     painter = Painter(drive.calibration, scale, options, light)
     pictures = [painter.picture(frame, number) for number, frame in enumerate(frames)]
     painted = {}
-    for key, numbers in painter.plan(drive.shots):
-        tile = painter.paint(key, drive.shots, numbers, pictures.__getitem__)
+    for key, numbers in painter.plan(drive.posed_frames):
+        tile = painter.paint(key, drive.posed_frames, numbers, pictures.__getitem__)
         if tile is not None:
             painted[key] = tile
     grid = tiles.extent_of(painted, scale)
     assert grid is not None
     image = np.zeros((grid.height, grid.width, 3), np.uint8)
-    sharpness = np.zeros((grid.height, grid.width), np.float32)
-    views = np.zeros(sharpness.shape, np.uint16)
+    resolution = np.zeros((grid.height, grid.width), np.float32)
+    views = np.zeros(resolution.shape, np.uint16)
     for tile in painted.values():
         top = round((grid.y_max - tile.grid.y_max) / scale)
         left = round((tile.grid.x_min - grid.x_min) / scale)
         part = slice(top, top + tile.grid.height), slice(left, left + tile.grid.width)
-        image[part], sharpness[part], views[part] = tile.image, tile.sharpness, tile.views
-    return grid, image, sharpness, views
+        image[part], views[part] = tile.image, tile.views
+        resolution[part] = tile.pixels_per_metre
+    return grid, image, resolution, views
 
 
 def opencv(drive: Drive, frames: list[Frame], grid: Grid) -> NDArray[np.uint8]:
@@ -105,10 +106,10 @@ def opencv(drive: Drive, frames: list[Frame], grid: Grid) -> NDArray[np.uint8]:
     blender = cv2.detail_MultiBandBlender()
     blender.setNumBands(5)
     blender.prepare((0, 0, grid.width, grid.height))
-    for frame, shot in zip(frames, drive.shots, strict=True):
+    for frame, posed in zip(frames, drive.posed_frames, strict=True):
         part, seen = (
-            painter.extent([shot.map_from_robot]),
-            painter.patch(frame, shot.map_from_robot),
+            painter.extent([posed.map_from_robot]),
+            painter.patch(frame, posed.map_from_robot),
         )
         left = round((part.x_min - grid.x_min) / grid.metres_per_pixel)
         top = round((grid.y_max - part.y_max) / grid.metres_per_pixel)
@@ -135,19 +136,19 @@ def true_floor(drive: Drive, name: str, grid: Grid) -> NDArray[np.uint8]:
     return np.asarray(cv2.resize(floor, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def mixed(clean: list[Frame], things: list[Frame]) -> list[Frame]:
-    """Return frames of which a share shows things."""
+def mixed(clean: list[Frame], obstructed: list[Frame]) -> list[Frame]:
+    """Return frames of which a share shows obstacles."""
     around = np.ones((3, 3), np.uint8)
     showing = []
-    for number, (plain, other) in enumerate(zip(clean, things, strict=True)):
+    for number, (plain, other) in enumerate(zip(clean, obstructed, strict=True)):
         differs = cv2.absdiff(plain.image, other.image).max(axis=2) > _DIFFERENT_GRAY
         solid = cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_OPEN, around)
         if solid.mean() > _MIN_SHARE:
             showing.append(number)
-    count = round(THINGS_SHARE * len(clean))
+    count = round(OBSTACLES_SHARE * len(clean))
     chosen = {showing[place * len(showing) // count] for place in range(min(count, len(showing)))}
-    print(f"{len(chosen)} of {len(clean)} frames show things")
-    return [things[n] if n in chosen else clean[n] for n in range(len(clean))]
+    print(f"{len(chosen)} of {len(clean)} frames show obstacles")
+    return [obstructed[n] if n in chosen else clean[n] for n in range(len(clean))]
 
 
 def main() -> None:
@@ -155,44 +156,46 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("drive", type=Path)
     parser.add_argument("--floor", default="asphalt")
-    parser.add_argument("--things", type=Path)
-    parser.add_argument("--only-things", action="store_true")
+    parser.add_argument("--obstacles", type=Path)
+    parser.add_argument("--only-obstacles", action="store_true")
     parser.add_argument("--metres-per-pixel", type=float, default=0.001)
-    told = parser.parse_args()
-    drive, scale = load(told.drive), told.metres_per_pixel
+    arguments = parser.parse_args()
+    drive, scale = load(arguments.drive), arguments.metres_per_pixel
     frames = drive.frames
     plain = PaintOptions(metres_per_pixel=scale, blend="mean", obstacles=False)
-    grid, image, sharpness, views = paint(drive, frames, plain, None)
-    inside = sharpness > _MIN_SHARPNESS_SHARE * sharpness.max()
-    true = cv2.cvtColor(true_floor(drive, told.floor, grid), cv2.COLOR_BGR2GRAY).astype(np.float32)
+    grid, image, resolution, views = paint(drive, frames, plain, None)
+    inside = resolution > _MIN_RESOLUTION_SHARE * resolution.max()
+    true = cv2.cvtColor(true_floor(drive, arguments.floor, grid), cv2.COLOR_BGR2GRAY).astype(
+        np.float32
+    )
     print("| blend | PSNR dB | SSIM | sharpness |\n|---|---|---|---|")
 
-    def tell(name: str, picture: NDArray[np.uint8], inside: NDArray[np.bool_] = inside) -> None:
+    def row(name: str, picture: NDArray[np.uint8], inside: NDArray[np.bool_] = inside) -> None:
         gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
         psnr, alike, sharp = likeness(gray, true, inside)
         print(f"| {name} | {psnr:.1f} | {alike:.3f} | {sharp:.2f} |", flush=True)
 
-    light = evened(drive, frames)
-    for blend in () if told.only_things else BLENDS:
+    light = estimated_exposure(drive, frames)
+    for blend in () if arguments.only_obstacles else BLENDS:
         options = PaintOptions(metres_per_pixel=scale, blend=blend)  # type: ignore[arg-type]
-        tell(blend, paint(drive, frames, options, light)[1])
-    if not told.only_things:
-        tell("plain mean, exposure as it is", image)
-        tell("cv2.detail.MultiBandBlender", opencv(drive, frames, grid))
-    if told.things is not None:
-        some = mixed(frames, load(told.things).frames)
-        others = evened(drive, some)
-        # What one view alone sees, at the rim, no other can tell from the floor.
+        row(blend, paint(drive, frames, options, light)[1])
+    if not arguments.only_obstacles:
+        row("plain mean, exposure as it is", image)
+        row("cv2.detail.MultiBandBlender", opencv(drive, frames, grid))
+    if arguments.obstacles is not None:
+        some = mixed(frames, load(arguments.obstacles).frames)
+        others = estimated_exposure(drive, some)
+        # At the rim, where one view alone sees, obstacles cannot be recognised.
         well = inside & (views >= _ENOUGH_VIEWS)
         print(f"{well.sum() / inside.sum():.0%} of the map is seen by {_ENOUGH_VIEWS} or more")
         best = PaintOptions(metres_per_pixel=scale)
-        tell("best, no things, where so many see", paint(drive, frames, best, light)[1], well)
+        row("best, no obstacles, where two views see", paint(drive, frames, best, light)[1], well)
         for obstacles in (True, False):
             options = PaintOptions(metres_per_pixel=scale, obstacles=obstacles)
-            word = "kept out" if obstacles else "not kept out"
+            handling = "left out" if obstacles else "painted"
             picture = paint(drive, some, options, others)[1]
-            tell(f"best, things {word}", picture)
-            tell(f"best, things {word}, where so many see", picture, well)
+            row(f"best, obstacles {handling}", picture)
+            row(f"best, obstacles {handling}, where two views see", picture, well)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Side by side on the same frames: slam stitch, cv2.Stitcher and the `stitching` package.
+"""Comparison with peers on the same frames: cv2.Stitcher and the `stitching` package.
 
 Run: make bench, or python benchmarks/peers.py [--frames N ...] [--size WxH] [--floor NAME] [--drive
 FOLDER | --folder FRAMES --calibration YAML] [--peers NAME ...] [--limit SECONDS] [--json FILE]. A
@@ -63,7 +63,7 @@ PEERS = {"scans": ("cv2.Stitcher SCANS", OPENCV), "stitching": ("stitching, affi
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one tool made of the frames."""
+    """Result of one tool on the frames."""
 
     tool: str
     wall_seconds: float
@@ -103,7 +103,7 @@ print(wall, used.ru_utime + used.ru_stime, used.ru_maxrss, code)
 
 
 def slam(frames: Path, calibration: Path, output: Path, count: int, limit: float) -> Outcome:
-    """Map the camera's own pictures, as coarsely as the peers' views are."""
+    """Map the camera's own images, at the resolution of the peers' views."""
     command = [*SLAM, "stitch", str(frames), "-c", str(calibration), "-o", str(output)]
     command += ["--metres-per-pixel", str(VIEW_METRES_PER_PIXEL)]
     outcome, _ = run("slam stitch", command, count, limit)
@@ -113,7 +113,7 @@ def slam(frames: Path, calibration: Path, output: Path, count: int, limit: float
 
 
 def peer(tool: str, script: str, views: list[Path], output: Path, limit: float) -> Outcome:
-    """Stitch bird's-eye views by another's code."""
+    """Stitch bird's-eye views by a peer."""
     command = [sys.executable, "-c", script, str(output), *map(str, views)]
     outcome, printed = run(tool, command, len(views), limit)
     found = [line.split() for line in printed.splitlines() if line.startswith("placed")]
@@ -192,7 +192,7 @@ def similarity(a: NDArray[np.float32], b: NDArray[np.float32], inside: NDArray[n
     return float(index[inside].mean())
 
 
-def register(
+def compare(
     frames: Path,
     calibration: Path,
     work: Path,
@@ -211,7 +211,7 @@ def register(
         picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
         flat.append(path.with_suffix(".bmp"))
         cv2.imwrite(str(flat[-1]), picture)
-    # The first to run would else share the machine with a gigabyte on its way to the disk.
+    # Else the first tool would run while a gigabyte is still being written to the disk.
     os.sync()
     outcomes = [slam(frames, calibration, work / "map", len(files), limit)]
     results = [work / "map" / "mosaic.png"]
@@ -272,28 +272,38 @@ def main() -> None:
     parser.add_argument("--peers", nargs="*", default=list(PEERS), choices=list(PEERS))
     parser.add_argument("--limit", type=float, default=1800.0)
     parser.add_argument("--json", type=Path)
-    told = parser.parse_args()
+    arguments = parser.parse_args()
     print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} processors")
     outcomes = []
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
-        drive = told.drive or work / "drive"
-        if told.drive is None and told.folder is None:
-            most = max(told.frames)
-            simulate(drive, told.floor, most, told.size, told.length or 0.06 * most)
-        for count in told.frames if told.folder is None else [0]:
+        drive = arguments.drive or work / "drive"
+        if arguments.drive is None and arguments.folder is None:
+            most = max(arguments.frames)
+            simulate(drive, arguments.floor, most, arguments.size, arguments.length or 0.06 * most)
+        for count in arguments.frames if arguments.folder is None else [0]:
             here = work / str(count)
             here.mkdir()
-            if told.folder is not None:
-                found = register(told.folder, told.calibration, here, None, told.peers, told.limit)
+            if arguments.folder is not None:
+                found = compare(
+                    arguments.folder,
+                    arguments.calibration,
+                    here,
+                    None,
+                    arguments.peers,
+                    arguments.limit,
+                )
             else:
-                frames, truth = begun(drive, count, here), true_floor(told.floor, drive, 0, count)
+                frames, truth = (
+                    begun(drive, count, here),
+                    true_floor(arguments.floor, drive, 0, count),
+                )
                 camera = drive / "camera.yaml"
-                found = register(frames, camera, here, truth, told.peers, told.limit)
+                found = compare(frames, camera, here, truth, arguments.peers, arguments.limit)
             print(table(found), flush=True)
             outcomes += found
-    if told.json:
-        told.json.write_text(json.dumps([asdict(one) for one in outcomes], indent=1))
+    if arguments.json:
+        arguments.json.write_text(json.dumps([asdict(one) for one in outcomes], indent=1))
 
 
 if __name__ == "__main__":

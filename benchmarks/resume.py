@@ -1,4 +1,4 @@
-"""Kill `slam stitch` at random moments, resume, and compare every byte with an undisturbed run.
+"""Kill and resume `slam stitch` at random moments; compare each byte with an undisturbed run.
 
 Run: python benchmarks/resume.py [--kills N] [--frames N] [--size WxH] [--seed N]. A kill is
 SIGKILL, at a moment drawn evenly from the undisturbed run's duration.
@@ -33,7 +33,7 @@ def kill_once(command: list[str], output: Path, seconds: float) -> tuple[bool, i
 
 
 def same_files(first: Path, second: Path) -> bool:
-    """Tell whether two folders hold the same names with the same bytes."""
+    """Return whether two folders contain the same names with the same bytes."""
     names = sorted(path.name for path in first.iterdir())
     return names == sorted(path.name for path in second.iterdir()) and all(
         (first / name).read_bytes() == (second / name).read_bytes() for name in names
@@ -47,18 +47,18 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--size", default="320x240")
     parser.add_argument("--seed", type=int, default=0)
-    told = parser.parse_args()
-    generator = random.Random(told.seed)
+    arguments = parser.parse_args()
+    generator = random.Random(arguments.seed)
     with tempfile.TemporaryDirectory() as folder:
         drive, whole = Path(folder) / "drive", Path(folder) / "whole"
-        simulate = ["--frames", str(told.frames), "--size", told.size, "--path", "loop"]
+        simulate = ["--frames", str(arguments.frames), "--size", arguments.size, "--path", "loop"]
         subprocess.run([*SLAM, "simulate", str(drive), *simulate], check=True, capture_output=True)
         command = [*SLAM, "stitch", str(drive / "frames"), "-c", str(drive / "camera.yaml")]
         started = time.monotonic()
         subprocess.run([*command, "-o", str(whole)], check=True, capture_output=True)
         duration = time.monotonic() - started
         identical, states = 0, 0
-        for number in range(told.kills):
+        for number in range(arguments.kills):
             output = Path(folder) / f"cut{number}"
             seconds = duration * generator.uniform(EARLIEST, LATEST)
             state, tiles = kill_once(command, output, seconds)
@@ -74,7 +74,7 @@ def main() -> None:
                 f"{tiles} tiles; {'identical' if same else 'DIFFERENT'}",
                 flush=True,
             )
-        print(f"identical {identical} of {told.kills}; {states} with a state")
+        print(f"identical {identical} of {arguments.kills}; {states} with a state")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How often a frame is placed, how often falsely, and how well: floors x disturbances.
+"""Robustness: frames placed, placed falsely, and their error, over floors x disturbances.
 
 Run: python benchmarks/robustness.py [--floors a,b] [--disturbances c,d] [--frames N] [--workers N]
 [--json FILE]. Each cell drives a simulated camera around a circle; the plain chain beside it gets
@@ -22,8 +22,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import footprint, footprint_hull
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame
 from slamcli.io.frames import read_image
@@ -89,7 +89,7 @@ FLOORS = ("course", "asphalt", "carpet", "tiles", "planks", "terrazzo", "bare")
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What is added to a world."""
+    """Disturbances of a world's images, and the overlap of its frames."""
 
     options: DisturbanceOptions = QUIET
     jpeg_quality: int = 92
@@ -110,7 +110,7 @@ DISTURBANCES = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a drive, in shares of its frames, and RPE from frame to frame."""
+    """Result of a drive, in shares of its frames, and RPE from frame to frame."""
 
     placed: float
     false: float
@@ -120,8 +120,8 @@ class Outcome:
 
 
 def step_for_overlap(world: World, calibration: Calibration, overlap: float) -> float:
-    """Return the step, metres, after which two footprints share so much of one."""
-    outline = projection.footprint_hull(calibration).astype(np.float32)
+    """Return the step, metres, after which two footprints share `overlap` of their area."""
+    outline = footprint_hull(calibration).astype(np.float32)
     whole = cv2.contourArea(outline)
     for step in np.arange(0.02, 4.0, 0.01):
         moved = circle(world.radius_metres, float(step), 1)[1].apply(outline.astype(np.float64))
@@ -187,7 +187,7 @@ def make_floor(world: World, seed: int) -> floors.Floor:
 def run_slam(
     calibration: Calibration, truth: list[Pose2], frames: list[NDArray[np.uint8]]
 ) -> tuple[Outcome, list[str]]:
-    """Map the frames; return what came of it, and what to say of single frames."""
+    """Map the frames; return the result, and remarks on single frames."""
     mapper = Mapper(calibration)
     for index, image in enumerate(frames):
         mapper.update(Frame(index, f"{index:04d}", index / FRAME_RATE_HERTZ, image))
@@ -215,7 +215,7 @@ def run_slam(
 def run_plain(
     calibration: Calibration, truth: list[Pose2], frames: list[NDArray[np.uint8]]
 ) -> Outcome:
-    """Count what the plain chain makes of a drive."""
+    """Return the result of the plain chain on a drive."""
     placed, false, errors = 1, 0, []
     for motion, (before, now) in zip(
         plain_motions(calibration, frames), pairwise(truth), strict=True
@@ -235,7 +235,7 @@ def plain_motions(
 
     By ORB, ratio test and a partial affine, on the true homography's bird's-eye views.
     """
-    grid = projection.footprint(calibration, Mapper(calibration).metres_per_pixel)
+    grid = footprint(calibration, Mapper(calibration).metres_per_pixel)
     pixel_from_image = grid.pixel_from_metres @ calibration.robot_from_image
     orb = cv2.ORB_create(2000)
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
@@ -277,7 +277,7 @@ def pose_of(matrix: NDArray[np.float64]) -> Pose2:
 
 
 def is_false(error: Pose2) -> bool:
-    """Return whether a motion is too wrong to have been believed."""
+    """Return whether a motion is so wrong that accepting it was false."""
     return error.translation_length > FALSE_METRES or abs(math.degrees(error.theta)) > FALSE_DEGREES
 
 
@@ -313,17 +313,17 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--reasons", action="store_true", help="say why frames were lost")
-    told = parser.parse_args()
-    cells = product(told.floors.split(","), told.disturbances.split(","))
-    jobs = [(floor, kind, told.frames, told.seed) for floor, kind in cells]
+    parser.add_argument("--reasons", action="store_true", help="print why frames were lost")
+    arguments = parser.parse_args()
+    cells = product(arguments.floors.split(","), arguments.disturbances.split(","))
+    jobs = [(floor, kind, arguments.frames, arguments.seed) for floor, kind in cells]
     rows = []
     print(
         "| floor | disturbance | placed | false | RPE mm (worst) | fragments "
         "| plain: placed | false | RPE mm |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
-    with ProcessPoolExecutor(told.workers) as executor:
+    with ProcessPoolExecutor(arguments.workers) as executor:
         for floor, kind, ours, plain, lines in executor.map(run_cell, jobs):
             print(
                 f"| {floor} | {kind} | {ours.placed:.0%} | {ours.false:.0%} "
@@ -331,13 +331,13 @@ def main() -> None:
                 f"| {plain.placed:.0%} | {plain.false:.0%} | {plain.rpe_millimetres:.2f} |",
                 flush=True,
             )
-            if told.reasons:
+            if arguments.reasons:
                 print("\n".join(lines), flush=True)
             rows.append(
                 {"floor": floor, "disturbance": kind, **asdict(ours), "plain": asdict(plain)}
             )
-    if told.json:
-        told.json.write_text(json.dumps(rows, indent=1) + "\n")
+    if arguments.json:
+        arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
 
 
 if __name__ == "__main__":

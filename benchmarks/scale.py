@@ -1,8 +1,8 @@
-"""Whether a long run stays as quick and as small as a short one.
+"""Scaling of time and memory with the length of a run.
 
 Run: python benchmarks/scale.py DRIVE [--frames N] [--metres-per-pixel M] [--json FILE]. DRIVE is
-what `slam simulate` has written; its frames are taken forwards, then backwards, and so on, until
-there are N, by links. Printed for every tenth of the frames: wall and processor time a frame, and
+what `slam simulate` has written; its frames are linked forwards, then backwards, and so on, until
+there are N. Printed for every tenth of the frames: wall and processor time a frame, and
 the most memory that the process has taken by then.
 """
 
@@ -21,6 +21,7 @@ from pathlib import Path
 
 from slamcli.core.config import MapperOptions, PaintOptions, ProductOptions
 from slamcli.run.session.executor import default_workers
+from slamcli.run.session.session import Session
 from slamcli.run.stitch import stitch
 from slamcli.run.stitch.options import StitchOptions
 
@@ -29,7 +30,7 @@ PARTS = 10
 
 @dataclass(frozen=True)
 class Mark:
-    """How far a run has come, and what it has taken until then."""
+    """Progress of a run, with the time and memory used until then."""
 
     stage: str
     done: int
@@ -39,7 +40,7 @@ class Mark:
 
 
 def mark(stage: str, done: int) -> Mark:
-    """Return where the run stands now."""
+    """Return the current mark."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     return Mark(stage, done, time.perf_counter(), time.process_time(), peak)
 
@@ -67,18 +68,16 @@ def measure(drive: Path, count: int, metres_per_pixel: float | None, work: Path)
     options = StitchOptions(
         MapperOptions(),
         products=ProductOptions(PaintOptions(metres_per_pixel=metres_per_pixel)),
-        workers=default_workers(),
     )
+    session = Session(default_workers(), progress=progress, notify=print)
     camera, output = drive / "camera.yaml", work / "map"
-    report = stitch(
-        [frames], camera, output, options, overwrite=True, progress=progress, tell=print
-    )
+    report = stitch([frames], camera, output, options, overwrite=True, session=session)
     print(report)
     return [*marks, mark("end", count)]
 
 
 def table(marks: list[Mark]) -> str:
-    """Return what each part took, as a table in Markdown."""
+    """Return the cost of each part, as a table in Markdown."""
     lines = ["| stage | frames | wall ms a frame | CPU ms a frame | peak MB |", "|" + "---|" * 5]
     for before, after in pairwise(marks):
         count = after.done - before.done if after.stage == "locating" else after.done
@@ -98,13 +97,13 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=10_000)
     parser.add_argument("--metres-per-pixel", type=float)
     parser.add_argument("--json", type=Path)
-    told = parser.parse_args()
+    arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        marks = measure(told.drive, told.frames, told.metres_per_pixel, Path(folder))
+        marks = measure(arguments.drive, arguments.frames, arguments.metres_per_pixel, Path(folder))
     print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} processors")
     print(table(marks))
-    if told.json:
-        told.json.write_text(json.dumps([asdict(one) for one in marks], indent=1))
+    if arguments.json:
+        arguments.json.write_text(json.dumps([asdict(one) for one in marks], indent=1))
 
 
 if __name__ == "__main__":

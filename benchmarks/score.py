@@ -1,9 +1,9 @@
-"""Fits the score of a motion to simulated drives, and holds it against those it was not fitted to.
+"""Fit of the score of a motion to simulated drives, cross-validated over floors.
 
 Run: python benchmarks/score.py [--floors a,b] [--disturbances c,d] [--frames N] [--workers N].
 Every comparison that the mapper makes on the drives of `robustness.py`, with another seed, counts,
-and frames beside the next one, and beside others that show other floor, with no word of how the
-robot moved. Printed: the weights, in the order of `slamcli.registration.confidence.EVIDENCE`, and
+and those of each frame with the next one and with others that show other floor, without a motion
+prior. Printed: the weights, in the order of `slamcli.registration.confidence.EVIDENCE`, and
 how often motions of each score are right when the score is fitted to all other floors.
 """
 
@@ -45,37 +45,39 @@ def comparisons(job: tuple[str, str, int]) -> tuple[str, list[tuple[NDArray[np.f
         mapper.prepare(Frame(index, f"{index:04d}", index / FRAME_RATE_HERTZ, image))
         for index, image in enumerate(images)
     ]
-    trials: list[RegistrationResult] = []
+    results: list[RegistrationResult] = []
     for frame in prepared:
         mapper.step(frame)
-        trials += mapper.registrations
-    trials += [
+        results += mapper.registrations
+    results += [
         register(first, second, None, calibration, mapper.options, window=dense.SearchWindow())
         for apart in (1, FAR)
         for first, second in zip(prepared, prepared[apart:], strict=False)
     ]
     return floor, [
-        (trial.evidence, is_right(trial, truth)) for trial in trials if trial.evidence is not None
+        (result.evidence, is_right(result, truth))
+        for result in results
+        if result.evidence is not None
     ]
 
 
-def is_right(trial: RegistrationResult, truth: list[Pose2]) -> bool:
-    """Return whether a trial's motion is near enough to the true one."""
-    assert trial.fit is not None
-    true = truth[trial.keyframe.index].inverse() @ truth[trial.prepared.index]
-    return not is_false(true.inverse() @ trial.fit.pose)
+def is_right(result: RegistrationResult, truth: list[Pose2]) -> bool:
+    """Return whether a result's motion is near enough to the true one."""
+    assert result.fit is not None
+    true = truth[result.keyframe.index].inverse() @ truth[result.prepared.index]
+    return not is_false(true.inverse() @ result.fit.pose)
 
 
 def fit(evidence: NDArray[np.float64], right: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the weights of the likeliest logistic model, held a little towards none."""
+    """Return the weights of a logistic regression with a weak ridge prior."""
     sign = np.where(right, 1.0, -1.0)
 
     def loss(weights: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         margin = sign * (evidence @ weights)
         slope = -sign / (1.0 + np.exp(np.minimum(margin, 700.0)))
-        held = 0.5 * STIFFNESS * float(weights[1:] @ weights[1:])
+        penalty = 0.5 * STIFFNESS * float(weights[1:] @ weights[1:])
         gradient = slope @ evidence + STIFFNESS * np.r_[0.0, weights[1:]]
-        return float(np.sum(np.logaddexp(0.0, -margin))) + held, gradient
+        return float(np.sum(np.logaddexp(0.0, -margin))) + penalty, gradient
 
     return np.asarray(minimize(loss, np.zeros(evidence.shape[1]), jac=True).x)
 
@@ -87,11 +89,11 @@ def main() -> None:
     parser.add_argument("--disturbances", default=KINDS)
     parser.add_argument("--frames", type=int, default=30)
     parser.add_argument("--workers", type=int, default=os.cpu_count())
-    given = parser.parse_args()
-    cells = product(given.floors.split(","), given.disturbances.split(","))
-    jobs = [(floor, kind, given.frames) for floor, kind in cells]
+    arguments = parser.parse_args()
+    cells = product(arguments.floors.split(","), arguments.disturbances.split(","))
+    jobs = [(floor, kind, arguments.frames) for floor, kind in cells]
     floors, rows, right = [], [], []
-    with ProcessPoolExecutor(given.workers) as executor:
+    with ProcessPoolExecutor(arguments.workers) as executor:
         for floor, found in executor.map(comparisons, jobs):
             floors += [floor] * len(found)
             rows += [evidence for evidence, _ in found]
@@ -100,16 +102,16 @@ def main() -> None:
     print(f"{len(true)} motions, {np.mean(true):.0%} of them right")
     for name, weight in zip(confidence.EVIDENCE, fit(evidence, true), strict=True):
         print(f"{weight:8.2f}  {name}")
-    foretold = np.zeros(len(true))
+    predicted = np.zeros(len(true))
     for floor in dict.fromkeys(floors):
         held_out = names == floor
         weights = fit(evidence[~held_out], true[~held_out])
-        foretold[held_out] = 1.0 / (1.0 + np.exp(-evidence[held_out] @ weights))
-    print("| score | motions | foretold right | right |\n|---|---|---|---|")
+        predicted[held_out] = 1.0 / (1.0 + np.exp(-evidence[held_out] @ weights))
+    print("| score | motions | predicted right | right |\n|---|---|---|---|")
     for low, high in pairwise(BINS):
-        inside = (foretold >= low) & (foretold <= high if high == 1.0 else foretold < high)
+        inside = (predicted >= low) & (predicted <= high if high == 1.0 else predicted < high)
         if inside.any():
-            shares = f"{np.mean(foretold[inside]):.1%} | {np.mean(true[inside]):.1%}"
+            shares = f"{np.mean(predicted[inside]):.1%} | {np.mean(true[inside]):.1%}"
             print(f"| {low} to {high} | {np.count_nonzero(inside)} | {shares} |")
 
 

@@ -1,11 +1,11 @@
-"""What `slam stitch --self-calibrate` makes of a wrong camera: floors x paths.
+"""Accuracy of `slam stitch --self-calibrate` from a wrong camera: floors x paths.
 
 Run: python benchmarks/self_calibration.py [--worlds a,b] [--frames N] [--size WxH] [--seed N]
 [--keep FOLDER] [--json FILE]. Each world is simulated by `slam simulate` with k1 = -0.2, and mapped
 twice with a camera whose pitch is off by 2 degrees, whose focal length is off by 5 % and whose
-distortion is unknown: as it is, and refined by the frames. Some worlds ask for another verdict: a
-right camera is to be confirmed, and a straight line leaves the focal length open. With --keep
-FOLDER what is made stays there, and what is there already is not made again.
+distortion is unknown: as it is, and refined by the frames. Some worlds expect another verdict: a
+right camera is to be confirmed, and a straight line does not determine the focal length. With
+--keep FOLDER results stay there, and existing ones are not made again.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slamcli.core.camera import projection
+from slamcli.core.camera.footprint import choose_max_range
 from slamcli.io.calibrations import load_calibration, save_calibration
 from slamcli.stages import adjustment
 
@@ -61,7 +61,7 @@ class Outcome:
     """Verdict, errors of the camera left (focal length as a share), and of the map."""
 
     world: str
-    asked: str
+    expected: str
     verdict: str
     focal_share: float
     k1: float
@@ -85,23 +85,21 @@ def simulate(folder: Path, world: World, frames: int, size: str, seed: int) -> N
     """Simulate the drive, and write the wrong camera beside the right one."""
     if not (folder / "camera.yaml").exists():
         drive = ("--floor", world.floor, "--path", world.path, "--length", world.length_metres)
-        taken = ("--frames", frames, "--size", size, "--seed", seed, "--k1", K1)
-        run("simulate", folder, *drive, *taken, *world.more)
+        camera = ("--frames", frames, "--size", size, "--seed", seed, "--k1", K1)
+        run("simulate", folder, *drive, *camera, *world.more)
     right = load_calibration(folder / "camera.yaml")
     off = np.zeros(7)
     off[0], off[1], off[3] = math.log1p(FOCAL_SHARE), -K1, math.radians(PITCH_DEGREES)
     wrong = adjustment.changed(right, off)
-    seen = projection.choose_max_range(
-        wrong.camera_matrix, wrong.image_from_robot, wrong.image_size
-    )
+    seen = choose_max_range(wrong.camera_matrix, wrong.image_from_robot, wrong.image_size)
     save_calibration(folder / "wrong.yaml", replace(wrong, max_range_metres=seen))
 
 
 def ate_millimetres(folder: Path, world: Path) -> tuple[float, int, int]:
     """Return the absolute trajectory error, the frames placed and all frames."""
-    told = json.loads(run("evaluate", folder / "poses.csv", world / "truth.csv", "--json"))
-    part = told["fragments"][0]
-    return 1000.0 * part["absolute"]["rmse"], told["matched"], told["truth_poses"]
+    found = json.loads(run("evaluate", folder / "poses.csv", world / "truth.csv", "--json"))
+    part = found["fragments"][0]
+    return 1000.0 * part["absolute"]["rmse"], found["matched"], found["truth_poses"]
 
 
 def measure(folder: Path, name: str) -> Outcome:
@@ -111,33 +109,33 @@ def measure(folder: Path, name: str) -> Outcome:
     for output, option in (("before", "--no-self-calibrate"), ("after", "--self-calibrate")):
         if not (folder / output / "run.toml").exists():
             run("stitch", folder / "frames", "-c", given, "-o", folder / output, option)
-    told = tomllib.loads((folder / "after" / "run.toml").read_text(encoding="utf-8"))
-    told = told["self_calibration"]
+    run_toml = tomllib.loads((folder / "after" / "run.toml").read_text(encoding="utf-8"))
+    section = run_toml["self_calibration"]
     right = load_calibration(folder / "camera.yaml")
     before, _, _ = ate_millimetres(folder / "before", folder)
     after, placed, frames = ate_millimetres(folder / "after", folder)
     return Outcome(
         name,
         world.verdict,
-        told["verdict"],
-        told["focal_pixels"] / float(right.camera_matrix[0, 0]) - 1.0,
-        told["k1"] - float(right.distortion[0]),
-        told["pitch_degrees"] - math.degrees(right.pitch_radians),
-        told["roll_degrees"] - math.degrees(right.roll_radians),
+        section["verdict"],
+        section["focal_pixels"] / float(right.camera_matrix[0, 0]) - 1.0,
+        section["k1"] - float(right.distortion[0]),
+        section["pitch_degrees"] - math.degrees(right.pitch_radians),
+        section["roll_degrees"] - math.degrees(right.roll_radians),
         placed,
         frames,
         before,
         after,
-        told.get("pixels_before", math.nan),
-        told.get("pixels_after", math.nan),
+        section.get("pixels_before", math.nan),
+        section.get("pixels_after", math.nan),
     )
 
 
 def row(found: Outcome) -> str:
     """Return one line of the table."""
     verdict = found.verdict
-    if verdict != found.asked:
-        verdict += f" (asked: {found.asked})"
+    if verdict != found.expected:
+        verdict += f" (expected: {found.expected})"
     return (
         f"| {found.world} | {verdict} | {found.focal_share:+.3%} | {found.k1:+.4f} "
         f"| {found.pitch_degrees:+.4f} | {found.roll_degrees:+.4f} | {found.placed}/{found.frames} "
@@ -155,19 +153,19 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--json", type=Path)
-    told = parser.parse_args()
+    arguments = parser.parse_args()
     titles = "world, verdict, focal length, k1, pitch °, roll °, placed, ATE mm before, after"
     columns = [*titles.split(", "), "matches px before", "after"]
     print("| " + " | ".join(columns) + " |\n" + "|---" * len(columns) + "|")
     outcomes = []
     with tempfile.TemporaryDirectory() as scratch:
-        for name in told.worlds.split(","):
-            folder = (told.keep or Path(scratch)) / name
-            simulate(folder, WORLDS[name], told.frames, told.size, told.seed)
+        for name in arguments.worlds.split(","):
+            folder = (arguments.keep or Path(scratch)) / name
+            simulate(folder, WORLDS[name], arguments.frames, arguments.size, arguments.seed)
             outcomes.append(measure(folder, name))
             print(row(outcomes[-1]), flush=True)
-    if told.json:
-        told.json.write_text(json.dumps([asdict(found) for found in outcomes], indent=2))
+    if arguments.json:
+        arguments.json.write_text(json.dumps([asdict(found) for found in outcomes], indent=2))
 
 
 if __name__ == "__main__":

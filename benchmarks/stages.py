@@ -1,12 +1,13 @@
-"""What one 1080p frame costs, stage by stage, beside the OpenCV kernels it is made of.
+"""Cost of one 1080p frame, stage by stage, beside the OpenCV kernels that it consists of.
 
 Run: python benchmarks/stages.py [--frames N] [--drive FOLDER] [--whole N] [--metres-per-pixel M].
 Every figure is a median over the frames of one run on one thread; compare ratios, not milliseconds,
 between machines.
 
 With --whole N, `slam stitch` then maps N frames (a drive's own, forwards and backwards in turn) on
-all processors, and its wall time is held against what its kernels alone take there, from the table:
-OpenCV's where there is one, and for the pixels' pyramid, check and refinement the stage itself.
+all processors, and its wall time is compared with that of its kernels alone, from the table:
+OpenCV's where there is one, and for the pyramid and the photometric check and refinement the stage
+itself.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scale import repeat
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import choose_max_range, default_metres_per_pixel
+from slamcli.core.camera.mounting import compose_robot_from_image
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import PosedFrame, Tile
 from slamcli.io.calibrations import load_calibration, save_calibration
@@ -51,7 +53,7 @@ def make_calibration() -> Calibration:
     width, height = IMAGE_SIZE
     matrix = np.array([[1600.0, 0, (width - 1) / 2], [0, 1600.0, (height - 1) / 2], [0, 0, 1.0]])
     pitch = math.radians(35.0)
-    robot_from_image = projection.compose_robot_from_image(matrix, 0.3, pitch, 0.0)
+    robot_from_image = compose_robot_from_image(matrix, 0.3, pitch, 0.0)
     image_from_robot = np.linalg.inv(robot_from_image)
     return Calibration(
         camera_matrix=matrix,
@@ -62,7 +64,7 @@ def make_calibration() -> Calibration:
         height_metres=0.3,
         pitch_radians=pitch,
         roll_radians=0.0,
-        max_range_metres=projection.choose_max_range(matrix, image_from_robot, IMAGE_SIZE),
+        max_range_metres=choose_max_range(matrix, image_from_robot, IMAGE_SIZE),
     )
 
 
@@ -123,7 +125,7 @@ class Row:
 
 
 def measure(calibration: Calibration, files: list[FrameFile], scale: float) -> list[Row]:
-    """Return each stage's cost, the map at so many metres a pixel."""
+    """Return each stage's cost, for a map of `scale` metres per pixel."""
     cv2.setNumThreads(1)
     count = len(files)
     data = [np.frombuffer(file.path.read_bytes(), np.uint8) for file in files]
@@ -142,7 +144,7 @@ def measure(calibration: Calibration, files: list[FrameFile], scale: float) -> l
     grid = resampler.grid
     view_from_image = grid.pixel_from_metres @ calibration.robot_from_image
     grays = [view.to_gray(frame.image) for frame in frames]
-    glimpse = median_milliseconds(lambda i: exposure.reduced(grays[i]), count)
+    thumbnail = median_milliseconds(lambda i: exposure.thumbnail(grays[i]), count)
     views = [view.make_view(frame, resampler, gray=True) for frame in frames]
     warp = median_milliseconds(lambda i: view.make_view(frames[i], resampler, gray=True), count)
     size = (grid.width, grid.height)
@@ -190,32 +192,32 @@ def measure(calibration: Calibration, files: list[FrameFile], scale: float) -> l
     bare_paint = median_milliseconds(
         lambda i: cv2.warpPerspective(frames[i].image, map_from_image[i], patch_size), count
     )
-    shots = [PosedFrame(i, track[i], calibration) for i in range(count)]
+    posed_frames = [PosedFrame(i, track[i], calibration) for i in range(count)]
     sources = [read_frame(file, halved=painter.halves) for file in files]
     pictures = [painter.picture(source, number) for number, source in enumerate(sources)]
-    plan = painter.plan(shots)
+    plan = painter.plan(posed_frames)
 
-    def paint_tile(place: int) -> Tile | None:
-        key, numbers = plan[place]
-        return painter.paint(key, shots, numbers, pictures.__getitem__)
+    def paint_tile(index: int) -> Tile | None:
+        key, numbers = plan[index]
+        return painter.paint(key, posed_frames, numbers, pictures.__getitem__)
 
-    tiles = [paint_tile(place) for place in range(len(plan))]
+    tiles = [paint_tile(index) for index in range(len(plan))]
     blend = median_milliseconds(paint_tile, len(plan)) * len(plan) / count
     picture = np.vstack([tile.image for tile in tiles if tile is not None])
     mask = np.full(picture.shape[:2], 255, np.uint8)
     pixels = world_file.transparent(picture, mask)
-    encode = median_milliseconds(lambda _: png.encode_keyframe(pixels), 3) / count
+    encode = median_milliseconds(lambda _: png.compress(pixels), 3) / count
     bare_encode = median_milliseconds(lambda _: encode_png(pixels), 3) / count
     return [
         Row("decode JPEG in gray", gray, bare_gray),
-        Row("reduce it for its light", glimpse, math.nan),
+        Row("thumbnail for the exposure", thumbnail, math.nan),
         Row("decode JPEG to paint", decode, bare_decode),
         Row("warp to the view", warp, bare_warp),
         Row("detect ORB", detect, bare_detect),
         Row("match and fit", fit, bare_fit, tried),
         Row("pyramid of the view", make, math.nan),
-        Row("check the pixels", agree, math.nan, tried),
-        Row("refine on the pixels", refine, math.nan, tried),
+        Row("photometric check", agree, math.nan, tried),
+        Row("photometric refinement", refine, math.nan, tried),
         Row("paint a patch", paint, bare_paint, 0.0),
         Row("paint the tiles (share)", blend, bare_paint),
         Row("encode PNG (share)", encode, bare_encode),
@@ -223,7 +225,7 @@ def measure(calibration: Calibration, files: list[FrameFile], scale: float) -> l
 
 
 def bare_match(matcher: cv2.BFMatcher, a: features.Features, b: features.Features) -> object:
-    """Run what OpenCV alone would: match both ways and fit a similarity."""
+    """Match and fit a similarity by OpenCV alone."""
     pairs = matcher.knnMatch(b.descriptors, a.descriptors, k=2)
     good = [first for first, second in pairs if first.distance < 0.8 * second.distance]
     points_a = np.array([a.points[match.trainIdx] for match in good])
@@ -240,7 +242,7 @@ def encode_png(picture: NDArray[np.uint8]) -> None:
 def whole(
     drive: Path, camera_file: Path, count: int, scale: float, work: Path
 ) -> tuple[float, float]:
-    """Map so many frames of a drive; return wall and processor seconds."""
+    """Map `count` frames of a drive; return wall and processor seconds."""
     frames = work / "repeated"
     frames.mkdir()
     repeat(drive, count, frames)
@@ -260,19 +262,19 @@ def main() -> None:
     parser.add_argument("--drive", type=Path, help="of slam simulate; default: made here")
     parser.add_argument("--whole", type=int, default=0)
     parser.add_argument("--metres-per-pixel", type=float, help="of the map")
-    told = parser.parse_args()
+    arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         work = drive = Path(name)
         calibration = make_calibration()
-        if told.drive is not None:
-            drive = told.drive
+        if arguments.drive is not None:
+            drive = arguments.drive
             calibration = load_calibration(drive / "camera.yaml")
         else:
             (drive / "frames").mkdir()
-            make_frames(calibration, told.frames, drive / "frames")
+            make_frames(calibration, arguments.frames, drive / "frames")
             save_calibration(drive / "camera.yaml", calibration)
-        scale = told.metres_per_pixel or projection.default_metres_per_pixel(calibration)
-        rows = measure(calibration, list_frames([drive / "frames"])[: told.frames], scale)
+        scale = arguments.metres_per_pixel or default_metres_per_pixel(calibration)
+        rows = measure(calibration, list_frames([drive / "frames"])[: arguments.frames], scale)
         print(
             f"{platform.processor() or platform.machine()}, Python {platform.python_version()}, "
             f"OpenCV {cv2.__version__}, one thread, 1920x1080"
@@ -280,17 +282,18 @@ def main() -> None:
         print(f"{'stage':<24}{'ms':>8}{'kernel':>9}{'ratio':>8}{'a frame':>9}")
         for row in rows:
             bare, ours = row.kernel_milliseconds, row.milliseconds
-            told_bare = f"{'':>17}" if math.isnan(bare) else f"{bare:9.1f}{ours / bare:8.2f}"
-            print(f"{row.stage:<24}{ours:8.1f}{told_bare}{row.a_frame:9.2f}")
+            bare_columns = f"{'':>17}" if math.isnan(bare) else f"{bare:9.1f}{ours / bare:8.2f}"
+            print(f"{row.stage:<24}{ours:8.1f}{bare_columns}{row.a_frame:9.2f}")
         kernels = sum(row.kernel for row in rows)
         print(f"{'sum for a frame':<24}{sum(r.a_frame * r.milliseconds for r in rows):8.1f}")
         print(f"{'kernels for a frame':<24}{kernels:8.1f}")
-        if told.whole:
-            wall, used = whole(drive, drive / "camera.yaml", told.whole, scale, work)
-            least = 1e-3 * kernels * told.whole / default_workers()
+        if arguments.whole:
+            wall, used = whole(drive, drive / "camera.yaml", arguments.whole, scale, work)
+            least = 1e-3 * kernels * arguments.whole / default_workers()
             print(
-                f"{told.whole} frames: wall {wall:.1f} s, {wall / least:.2f} times the kernels on "
-                f"{default_workers()} processors; processor {used:.1f} s, {used / wall:.0%} of one"
+                f"{arguments.whole} frames: wall {wall:.1f} s, {wall / least:.2f} times the kernels"
+                f" on {default_workers()} processors; processor {used:.1f} s, {used / wall:.0%} "
+                "of one"
             )
 
 

@@ -1,7 +1,7 @@
-"""Makes everything in this folder anew, by `python samples/make.py`.
+"""Generator of everything in this folder: `python samples/make.py`.
 
-The course is a simulated drive; the three pairs stand in for the pictures of the 2015 thesis's
-Appendix A, drawn by us, each with a transform known exactly.
+The course is a simulated drive; the three pairs replace the pictures of the 2015 thesis's
+Appendix A, drawn here, each with a transform known exactly.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def grained(
 def draw_figure(
     canvas: Picture, foot: tuple[int, int], height: int, shirt: tuple[int, ...]
 ) -> None:
-    """Draw a walking person whose feet stand at a pixel."""
+    """Draw a walking person whose feet are at a pixel."""
     x, y = foot
     unit = height / 8
 

@@ -1,7 +1,8 @@
-"""`python -m slamcli` is `slam`."""
+"""The command `python -m slamcli`, the same as `slam`."""
 
 from __future__ import annotations
 
 from slamcli.cli.entry import main
 
-main()
+if __name__ == "__main__":
+    main()

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slamcli.core.camera import projection
-from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.calibration import Calibration, top_down_calibration
+from slamcli.core.camera.mounting import compose_robot_from_image
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import View
 
@@ -48,7 +48,7 @@ def look(
 
 def top_down() -> Calibration:
     """The stand-in for pixel units."""
-    return projection.top_down_calibration((SIDE, SIDE))
+    return top_down_calibration((SIDE, SIDE))
 
 
 def forward_camera() -> Calibration:
@@ -60,7 +60,7 @@ def forward_camera() -> Calibration:
         distortion=np.zeros(5),
         distortion_model="plumb_bob",
         image_size=(640, 480),
-        robot_from_image=projection.compose_robot_from_image(matrix, 0.3, pitch, 0.0),
+        robot_from_image=compose_robot_from_image(matrix, 0.3, pitch, 0.0),
         height_metres=0.3,
         pitch_radians=pitch,
         roll_radians=0.0,

@@ -13,8 +13,9 @@ from functools import cache
 import cv2
 import numpy as np
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Intrinsics
+from slamcli.core.camera.lens import distort_points, image_centre, undistort_points
+from slamcli.core.camera.mounting import image_from_robot_homography
 from slamcli.core.geometry import apply_homography, invert
 
 SIDE_METRES = 0.3048
@@ -53,13 +54,13 @@ class Photo:
 
     @property
     def intrinsics(self) -> Intrinsics:
-        column, row = projection.image_centre(self.size)
+        column, row = image_centre(self.size)
         matrix = np.array([[self.focal, 0, column], [0, self.focal, row], [0, 0, 1]])
         return Intrinsics(matrix, np.array(self.distortion), self.distortion_model, self.size)  # type: ignore[arg-type]
 
     @property
     def image_from_robot(self) -> np.ndarray:
-        return projection.image_from_robot_homography(
+        return image_from_robot_homography(
             self.intrinsics.camera_matrix,
             self.height,
             math.radians(self.pitch),
@@ -79,7 +80,7 @@ class Photo:
     def corners(self) -> np.ndarray:
         """(4, 2) pixels of the photo."""
         undistorted = apply_homography(self.image_from_robot, self.floor_corners)
-        return projection.distort_points(self.intrinsics, undistorted)
+        return distort_points(self.intrinsics, undistorted)
 
 
 def rotation(degrees: float) -> np.ndarray:
@@ -110,7 +111,7 @@ def _average(photo: Photo, pixels: np.ndarray, n: int) -> tuple[np.ndarray, np.n
     offsets = (np.arange(n)[:, None] / [plastic, plastic**2] + 0.5) % 1.0 - 0.5
     samples = (pixels[:, None] + offsets).reshape(-1, 2)
     if any(photo.distortion):
-        samples = projection.undistort_points(photo.intrinsics, samples)
+        samples = undistort_points(photo.intrinsics, samples)
     h = invert(photo.image_from_robot)
     column, row = samples.T
     depth = h[2, 0] * column + h[2, 1] * row + h[2, 2]

@@ -1,4 +1,4 @@
-"""The floors of the house: a module imports only what stands below it; stages are strangers."""
+"""The floors of the package: which module imports which, and what `slam --help` loads."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from slamcli.cli import entry
-from slamcli.cli.main import main
+import slamcli
 
 PACKAGE = Path(__file__).resolve().parent.parent / "slamcli"
 FLOORS = {
@@ -91,6 +89,57 @@ def test_an_outside_library_lives_in_its_room(module: Path) -> None:
             assert places & set(rooms), f"{module} imports {name}"
 
 
+def test_all_modules_are_in_folders() -> None:
+    files = {path.name for path in PACKAGE.iterdir() if path.is_file()}
+    assert files == {"__init__.py", "__init__.pyi", "__main__.py", "py.typed"}
+
+
+def test_there_are_few_floors() -> None:
+    assert TOP <= 8
+    folders = {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()}
+    assert folders == set(FLOORS) - {"__main__"}
+
+
+def name_of(module: Path) -> str:
+    return ".".join(("slamcli", *module.with_suffix("").parts)).removesuffix(".__init__")
+
+
+def import_graph() -> dict[str, set[str]]:
+    """Return the modules that each module imports, wherever in it and for whatever purpose."""
+    names = {name_of(module) for module in MODULES}
+    graph: dict[str, set[str]] = {}
+    for module in MODULES:
+        found = imports_of(module)
+        owners = {name if name in names else name.rpartition(".")[0] for name in found}
+        graph[name_of(module)] = (owners & names) - {name_of(module)}
+    return graph
+
+
+def find_circle(graph: dict[str, set[str]]) -> list[str]:
+    """Return modules of which each imports the next, the last one the first; or nothing."""
+    done: set[str] = set()
+
+    def visit(name: str, path: list[str]) -> list[str]:
+        if name in path:
+            return path[path.index(name) :]
+        if name in done:
+            return []
+        for other in sorted(graph[name]):
+            if circle := visit(other, [*path, name]):
+                return circle
+        done.add(name)
+        return []
+
+    return next((circle for name in sorted(graph) if (circle := visit(name, []))), [])
+
+
+def test_there_is_no_import_circle() -> None:
+    graph = import_graph()
+    assert len(graph["slamcli.mapping.mapper"]) > 3
+    assert find_circle(graph) == []
+    assert find_circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c"]
+
+
 def loaded_by(statements: str) -> set[str]:
     """Return the modules that a fresh Python has loaded after some statements."""
     code = f"import sys\n{statements}\nprint(*sys.modules, file=sys.stderr)"
@@ -98,20 +147,47 @@ def loaded_by(statements: str) -> set[str]:
     return set(done.stderr.split())
 
 
-def test_help_loads_no_heavy_library() -> None:
-    plain = loaded_by("from slamcli.cli.entry import main; sys.argv = ['slam', '--help']; main()")
-    assert not {"click", "cv2", "numpy", "typing"} & plain
-    commands = loaded_by("import slamcli.cli.main")
-    assert not {"cv2", "numpy", "scipy", "gtsam", "imageio", "tqdm", "yaml"} & commands
+HEAVY = {"cv2", "numpy", "scipy", "gtsam", "imageio", "tqdm", "yaml"}
+RUN_MAIN = "from slamcli.cli.entry import main\ntry:\n    main()\nexcept SystemExit:\n    pass"
 
 
-def test_the_ready_help_is_what_click_would_print() -> None:
-    printed = CliRunner().invoke(main, ["--help"], prog_name="slam", terminal_width=80)
-    assert printed.output == entry.HELP
+@pytest.mark.parametrize("flag", ["--help", "--version"])
+def test_help_and_version_load_neither_heavy_libraries_nor_any_command(flag: str) -> None:
+    """`slam --help` is to take at most five times as long as Python's own start."""
+    loaded = loaded_by(f"sys.argv = ['slam', '{flag}']\n{RUN_MAIN}")
+    assert "slamcli.cli.main" in loaded
+    assert not HEAVY & loaded
+    own = {name for name in loaded if name.startswith("slamcli.")}
+    assert own <= {
+        *("slamcli.cli", "slamcli.cli.entry", "slamcli.cli.main"),
+        *("slamcli.core", "slamcli.core.errors"),
+    }
+
+
+def test_the_help_of_a_command_loads_no_heavy_library() -> None:
+    commands = sorted(path.stem for path in (PACKAGE / "cli").glob("*.py"))
+    names = [name for name in commands if name not in {"__init__", "progress"}]
+    assert len(names) > 9
+    assert not HEAVY & loaded_by("\n".join(f"import slamcli.cli.{name}" for name in names))
+
+
+def test_the_public_names_are_the_same_for_running_code_and_for_type_checkers() -> None:
+    stub = ast.parse((PACKAGE / "__init__.pyi").read_text(encoding="utf-8"))
+    imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
+    in_stub = {alias.name: node.module for node in imports for alias in node.names}
+    assert all(alias.asname == alias.name for node in imports for alias in node.names)
+    assert in_stub == slamcli._MODULES
+    assert slamcli.__all__ == sorted(["__version__", *in_stub])
+    for name in slamcli.__all__:
+        assert getattr(slamcli, name) is not None
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = slamcli.nothing
+    data = (PACKAGE.parent / "pyproject.toml").read_text(encoding="utf-8")
+    assert 'slamcli = ["py.typed", "__init__.pyi"]' in data
 
 
 @pytest.mark.parametrize(("given", "kept"), [(None, "1"), ("3", "3")])
-def test_linear_algebra_keeps_to_one_thread_unless_told_otherwise(
+def test_linear_algebra_has_one_thread_unless_the_environment_says_otherwise(
     given: str | None, kept: str
 ) -> None:
     """Set before numpy is loaded, which reads it then."""

@@ -11,6 +11,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pytest
+
+pytest.importorskip("onnx")
 from onnx import TensorProto, helper, numpy_helper
 
 SIDE = 256

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from slamcli.core.geometry import Pose2
+from slamcli.core.robust import fit_rigid_2d
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,8 @@ def compare(estimated: dict[str, Pose2], truth: dict[str, Pose2]) -> Accuracy:
     ours, theirs = [estimated[name] for name in names], [truth[name] for name in names]
     places = np.array([(pose.x, pose.y) for pose in ours])
     true_places = np.array([(pose.x, pose.y) for pose in theirs])
-    centred, true_centred = places - places.mean(axis=0), true_places - true_places.mean(axis=0)
-    left, _, right = np.linalg.svd(centred.T @ true_centred)
-    turn = right.T @ np.diag([1.0, np.linalg.det(right.T @ left.T)]) @ left.T
-    aligned = np.linalg.norm(centred @ turn.T - true_centred, axis=1)
+    truth_from_map = fit_rigid_2d(true_places, places)
+    aligned = np.linalg.norm(truth_from_map.apply(places) - true_places, axis=1)
     steps = [
         (t0.inverse() @ t1).inverse() @ (e0.inverse() @ e1)
         for (e0, e1), (t0, t1) in zip(pairwise(ours), pairwise(theirs), strict=True)

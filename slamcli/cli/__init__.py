@@ -1,1 +1,1 @@
-"""The command line: the one place that knows click; each command calls one function of `run`."""
+"""The command line, and the only package that uses click; each command calls `slamcli.run`."""

@@ -1,15 +1,19 @@
-"""Progress for the eye: a bar on a terminal, a line now and then in a log."""
+"""Progress display: a bar on a terminal, a few lines per stage in a log."""
 
 from __future__ import annotations
 
 import sys
-from types import TracebackType
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Self
 
 import click
 from tqdm import tqdm
 
-_LINES_A_STAGE = 5
+from slamcli.run.session.executor import default_workers
+from slamcli.run.session.session import Session
+
+_LINES_PER_STAGE = 5
 
 
 class ProgressBar:
@@ -23,7 +27,7 @@ class ProgressBar:
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show that `done` of `total` steps of `stage` are finished."""
         if not self._terminal:
-            if done == total or done % max(1, total // _LINES_A_STAGE) == 0:
+            if done == total or done % max(1, total // _LINES_PER_STAGE) == 0:
                 click.echo(f"{stage} {done}/{total}", err=True)
             return
         if self._bar is None or stage != self._stage:
@@ -31,23 +35,25 @@ class ProgressBar:
             self._stage, self._bar = stage, tqdm(total=total, desc=stage, unit="frame")
         self._bar.update(done - self._bar.n)
 
-    def tell(self, line: str) -> None:
-        """Say something that is not a result."""
+    def notify(self, line: str) -> None:
+        """Print a line that is not a result."""
         self._close()
         click.echo(line, err=True)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._close()
 
     def _close(self) -> None:
         if self._bar is not None:
             self._bar.close()
             self._bar = None
+
+
+@contextmanager
+def open_session(workers: int | None, scheduler: str = "") -> Iterator[Session]:
+    """Yield the session of a command, with a progress bar; by default on all processors."""
+    with ProgressBar() as bar:
+        yield Session(workers or default_workers(), scheduler, bar, bar.notify)

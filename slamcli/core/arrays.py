@@ -1,4 +1,4 @@
-"""Array types by what they hold; docstrings tell shapes and units."""
+"""Array types by element; shapes and units stand in the docstrings."""
 
 from __future__ import annotations
 

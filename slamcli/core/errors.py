@@ -1,4 +1,4 @@
-"""Every error that a user can cause, under one root, so that one boundary turns all into a line."""
+"""The errors that a user can cause, under one root that the command line turns into a message."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class CalibrationError(SlamcliError):
 
 
 class MapError(SlamcliError):
-    """A map file is missing, damaged, or not one that can be believed."""
+    """A map file is missing, damaged, or has values that no map can have."""
 
 
 class OutputError(SlamcliError):
-    """A result cannot be written where it was asked for."""
+    """A result cannot be written to the given path."""

@@ -1,4 +1,4 @@
-"""Poses on the floor and the metric pixel grids laid over it."""
+"""Geometry in the plane: poses, homographies, and metric pixel grids."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def apply_homography(b_from_a: Float64Array, points: ArrayLike) -> Float64Array:
         scaled += b_from_a[:, 2:]
         with np.errstate(divide="ignore", invalid="ignore"):
             mapped = scaled[:2] / scaled[2]
-    return np.asarray(mapped.T.reshape(coordinates.shape), dtype=np.float64)
+    return mapped.T.reshape(coordinates.shape)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What a trained network must be able to do, for the stages that never see its file."""
+"""Interfaces of trained networks, for the stages that never see their files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from slamcli.core.arrays import Float32Array, Float64Array, Int32Array, UInt8Arr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NetworkPoints:
-    """The points that a network found in a picture of its own size.
+    """Result of a point network on a picture of its own size.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class NetworkPoints:
 
 
 class PointNetwork(Protocol):
-    """Finds and describes points; safe to call from several threads."""
+    """A network that finds and describes points; safe to call from several threads."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -37,12 +37,12 @@ class PointNetwork(Protocol):
 
 
 class MatchNetwork(Protocol):
-    """Pairs the points of two pictures."""
+    """A network that pairs the points of two pictures."""
 
     def match(
         self,
-        places_a: Float32Array,
-        places_b: Float32Array,
+        positions_a: Float32Array,
+        positions_b: Float32Array,
         descriptors_a: Float32Array,
         descriptors_b: Float32Array,
     ) -> tuple[Int32Array, Float32Array]:
@@ -50,7 +50,7 @@ class MatchNetwork(Protocol):
 
         Parameters
         ----------
-        places_a, places_b : (N, 2) float32
+        positions_a, positions_b : (N, 2) float32
             Right and down, in [-1, 1] over what the two show.
         descriptors_a, descriptors_b : (N, D) float32
 

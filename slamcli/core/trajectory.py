@@ -1,4 +1,4 @@
-"""A path with what is known of each of its poses, wherever it was written, and how good it is."""
+"""Trajectories, and their errors against a truth."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from slamcli.core.geometry import Pose2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """Poses in the order of their making; frames without a pose are left out.
+    """A trajectory: poses in order of time; frames without a pose are left out.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Trajectory:
         One standard deviation of x, y (m, along the map's axes) and heading (rad); nan where it
         is not known.
     unplaced : int
-        How many frames the file tells of that have no pose.
+        How many frames of the file have no pose.
     """
 
     poses: Float64Array
@@ -42,7 +42,7 @@ class Trajectory:
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Of the absolute values of some errors, in their unit; nan without any.
+    """Statistics of the absolute values of errors, in their unit; nan without any.
 
     Attributes
     ----------
@@ -59,16 +59,16 @@ class Statistics:
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """Whether the sigmas tell the truth.
+    """Consistency of the sigmas with the errors.
 
     Attributes
     ----------
     count : int
         Poses with sigmas.
     nees : float
-        Mean squared error over variance, added up over x, y and heading: 3 for honest sigmas,
-        more when they are too small (Bar-Shalom, Li, Kirubarajan, Estimation with Applications
-        to Tracking and Navigation, 2001, sec. 5.4).
+        Mean squared error over variance, added up over x, y and heading: 3 for sigmas of the
+        right size, more when they are too small (Bar-Shalom, Li, Kirubarajan, Estimation with
+        Applications to Tracking and Navigation, 2001, sec. 5.4).
     within_95_percent : float
         Share of the poses inside their own 95 % bound (chi-squared, 3 degrees of freedom).
     """
@@ -80,7 +80,7 @@ class Consistency:
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """How far one fragment, or all of them, is from the truth.
+    """Errors of one fragment, or of all of them, against the truth.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class Accuracy:
     path_metres : float
         Length of the truth's path through those poses.
     absolute : Statistics
-        ATE: metres between places, after the best rigid alignment.
+        ATE: metres between positions, after the best rigid alignment.
     absolute_share_of_path : float
         Its root mean square over the path's length.
     heading : Statistics
@@ -122,7 +122,7 @@ class Accuracy:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """A whole trajectory against its truth.
+    """Result of comparing a whole trajectory with its truth.
 
     Attributes
     ----------

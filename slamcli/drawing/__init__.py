@@ -1,1 +1,1 @@
-"""FrameCache that show why: each takes what a stage made and returns pixels."""
+"""Drawings that explain results: each takes what a stage returned and returns an image."""

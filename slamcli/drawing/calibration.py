@@ -1,4 +1,4 @@
-"""The check picture of a calibration: the photo with what is kept of it, beside the floor."""
+"""Drawing of a calibration: the photo with its usable region, beside the bird's-eye view."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float64Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import footprint_hull
+from slamcli.core.camera.lens import distort_points, undistort_points
 from slamcli.core.geometry import Grid, apply_homography
 from slamcli.core.records import View
 
@@ -39,7 +40,7 @@ def birdseye_grid(calibration: Calibration, corners: Float64Array) -> Grid:
     corners : (N, 2) float64, metres
         Of the target.
     """
-    points = np.vstack([projection.footprint_hull(calibration), corners])
+    points = np.vstack([footprint_hull(calibration), corners])
     margin = 0.03 * float(np.ptp(points, axis=0).max())
     low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
     ahead, sideways = high - low
@@ -54,7 +55,7 @@ def draw_calibration(
     birdseye: View,
     caption: Sequence[str],
 ) -> UInt8Array:
-    """Return the photo, what is dropped shaded, beside the bird's-eye view under a metric grid.
+    """Return the photo, unused pixels shaded, beside the bird's-eye view under a metric grid.
 
     Parameters
     ----------
@@ -87,7 +88,7 @@ def draw_calibration(
 
 
 def _draw_photo(photo: UInt8Array, outline: Float64Array, calibration: Calibration) -> UInt8Array:
-    """Shade what is not used, and draw the target, the far limit and the horizon."""
+    """Return the photo, unused pixels shaded, with the target, the far limit and the horizon."""
     height, width = photo.shape[:2]
     factor = min(PANEL_HEIGHT_PIXELS / height, _MAX_PHOTO_WIDTH_PIXELS / width)
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
@@ -105,19 +106,19 @@ def _draw_photo(photo: UInt8Array, outline: Float64Array, calibration: Calibrati
     _polyline(canvas, outline * factor, _SQUARE, closed=True)
     for corner in outline * factor:
         _ring(canvas, corner)
-    _label(canvas, "kept", _label_place(kept))
+    _label(canvas, "kept", _label_position(kept))
     return canvas
 
 
 def _draw_floor(outline: Float64Array, calibration: Calibration, birdseye: View) -> UInt8Array:
-    """Turn the view so that the robot looks up the page, and lay the metric grid over it."""
+    """Return the view turned so that the robot faces up the page, under the metric grid."""
     grid = birdseye.grid
     lattice = np.meshgrid(np.arange(grid.width), np.arange(grid.height))
-    places = apply_homography(grid.metres_from_pixel, np.dstack(lattice))
-    kept = np.hypot(places[..., 0], places[..., 1]) <= calibration.max_range_metres
-    shown = _hazed(birdseye.image, ~kept)
-    shown[birdseye.mask == 0] = _UNSEEN_GRAY
-    floor = np.ascontiguousarray(np.rot90(shown))
+    metres = apply_homography(grid.metres_from_pixel, np.dstack(lattice))
+    kept = np.hypot(metres[..., 0], metres[..., 1]) <= calibration.max_range_metres
+    view = _hazed(birdseye.image, ~kept)
+    view[birdseye.mask == 0] = _UNSEEN_GRAY
+    floor = np.ascontiguousarray(np.rot90(view))
     canvas = np.full(
         (floor.shape[0] + _AXIS_PIXELS, floor.shape[1] + _AXIS_PIXELS, 3), _BACKGROUND, np.uint8
     )
@@ -133,7 +134,7 @@ def _draw_floor(outline: Float64Array, calibration: Calibration, birdseye: View)
         _polyline(part, ends, _GRID, closed=False, thickness=1)
         column = _AXIS_PIXELS + round(float(ends[0, 0]))
         _write(canvas, f"{y:g}", (column - 14, floor.shape[0] + 24))
-    undistorted = projection.undistort_points(calibration, outline)
+    undistorted = undistort_points(calibration, outline)
     corners = apply_homography(calibration.robot_from_image, undistorted)
     _polyline(part, _page_pixels(grid, corners), _SQUARE, closed=True)
     cv2.rectangle(part, (0, 0), (part.shape[1] - 1, part.shape[0] - 1), _GRID, 1)
@@ -155,7 +156,7 @@ def _kept_pixels(calibration: Calibration, size: tuple[int, int]) -> BoolArray:
         np.linspace(0, width - 1, size[0]), np.linspace(0, height - 1, size[1])
     )
     points = np.column_stack([columns.ravel(), rows.ravel()])
-    pixels = projection.undistort_points(calibration, points)
+    pixels = undistort_points(calibration, points)
     depth = np.column_stack([pixels, np.ones(len(pixels))]) @ calibration.robot_from_image[2]
     floor = apply_homography(calibration.robot_from_image, pixels)
     with np.errstate(invalid="ignore"):
@@ -172,9 +173,9 @@ def _horizon(calibration: Calibration) -> Float64Array:
         return np.empty((0, 2))
     columns = np.linspace(0.0, width - 1.0, 65)
     line = np.column_stack([columns, -(a * columns + c) / b])
-    # Far outside the picture a lens polynomial means nothing.
+    # Far outside the image a lens polynomial is not valid.
     near = (line[:, 1] > -0.5 * height) & (line[:, 1] < 1.5 * height)
-    pixels = projection.distort_points(calibration, line[near])
+    pixels = distort_points(calibration, line[near])
     return pixels[(pixels[:, 1] >= 0) & (pixels[:, 1] < height)]
 
 
@@ -184,7 +185,7 @@ def _page_pixels(grid: Grid, points: Float64Array | Sequence[tuple[float, float]
     return np.column_stack([pixels[:, 1], grid.width - 1 - pixels[:, 0]])
 
 
-def _label_place(kept: BoolArray) -> tuple[int, int]:
+def _label_position(kept: BoolArray) -> tuple[int, int]:
     rows = np.flatnonzero(kept.any(axis=1))
     if not len(rows):
         return 8, 20
@@ -214,20 +215,20 @@ def _polyline(
     cv2.polylines(canvas, [fixed[:, None]], closed, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def _ring(canvas: UInt8Array, place: Float64Array) -> None:
-    column, row = (round(float(value) * 2**_SUBPIXEL_BITS) for value in place)
+def _ring(canvas: UInt8Array, pixel: Float64Array) -> None:
+    column, row = (round(float(value) * 2**_SUBPIXEL_BITS) for value in pixel)
     radius = 8 * 2**_SUBPIXEL_BITS
     cv2.circle(canvas, (column, row), radius, _SQUARE, 2, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def _label(canvas: UInt8Array, text: str, place: tuple[int, int]) -> None:
+def _label(canvas: UInt8Array, text: str, position: tuple[int, int]) -> None:
     """Write on a light tag, readable on any floor."""
     (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)
-    column, row = place
+    column, row = position
     corners = (column - 4, row - height - 4), (column + width + 4, row + below + 2)
     cv2.rectangle(canvas, *corners, _BACKGROUND, -1)
-    _write(canvas, text, place)
+    _write(canvas, text, position)
 
 
-def _write(canvas: UInt8Array, text: str, place: tuple[int, int]) -> None:
-    cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, _INK, 1, cv2.LINE_AA)
+def _write(canvas: UInt8Array, text: str, position: tuple[int, int]) -> None:
+    cv2.putText(canvas, text, position, cv2.FONT_HERSHEY_SIMPLEX, 0.55, _INK, 1, cv2.LINE_AA)

@@ -1,4 +1,4 @@
-"""What a search over every motion found, as a picture: where the pixels speak for which."""
+"""Drawing of a correlation surface: the score of every translation of a pixel search."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def draw_surface(surface: Float32Array, metres_per_pixel: float) -> UInt8Array:
     coloured = cv2.applyColorMap(gray, cv2.COLORMAP_INFERNO)
     canvas = np.asarray(cv2.resize(coloured, size, interpolation=cv2.INTER_NEAREST), np.uint8)
     row, column = np.unravel_index(int(surface.argmax()), surface.shape)
-    place = (round((int(column) + 1 / 2) * scale), round((int(row) + 1 / 2) * scale))
-    cv2.circle(canvas, place, 12, _BEST_COLOUR, 1, cv2.LINE_AA)
+    centre = (round((int(column) + 1 / 2) * scale), round((int(row) + 1 / 2) * scale))
+    cv2.circle(canvas, centre, 12, _BEST_COLOUR, 1, cv2.LINE_AA)
     text = f"correlation {surface.max():.2f} by translation; {surface.shape[1]} x "
     text += f"{surface.shape[0]} cells of {metres_per_pixel * 1000:.3g} mm"
     cv2.putText(

@@ -1,4 +1,4 @@
-"""What a detector found in a picture, and what it was not allowed to see."""
+"""Drawing of the keypoints of an image, and of the regions that the detector did not use."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def draw_keypoints(
     cleaned: BoolArray,
     outside: BoolArray,
 ) -> UInt8Array:
-    """Return the picture with each point as a circle of its size and a stroke along its angle.
+    """Return the image with each point as a circle of its size and a stroke along its angle.
 
     Parameters
     ----------
@@ -32,12 +32,12 @@ def draw_keypoints(
     keypoints : Keypoints
         Coloured by pyramid level, fine (green) to coarse (violet).
     cleaned, outside : (h, w) bool
-        What `clean_image` made black, tinted blue, and what the region of interest left out,
+        What `clean_image` made black, tinted blue, and what lies outside the region of interest,
         tinted red.
 
     Returns
     -------
-    (h + 22, w, 3) uint8, with a line of text above the picture
+    (h + 22, w, 3) uint8, with a line of text above the image
     """
     tinted = image.astype(np.float32)
     for where, colour in ((cleaned, _CLEANED_COLOUR), (outside, _BORDER_COLOUR)):
@@ -48,7 +48,7 @@ def draw_keypoints(
     ):
         colour = _LEVEL_COLOURS[min(max(int(octave), 0) // 2, len(_LEVEL_COLOURS) - 1)]
         radius = max(2.0, float(size) / 2.0)
-        # A descriptor's patch hides its neighbours; a quarter of it still tells scales apart.
+        # Drawn whole, descriptor patches hide their neighbours; a quarter still shows the scale.
         radius = max(2.0, radius / 4.0) if keypoints.norm != "l2" else radius
         centre = _fixed_point(pixel)
         cv2.circle(canvas, centre, round(radius * 2**_SHIFT), colour, 1, cv2.LINE_AA, _SHIFT)
@@ -69,5 +69,5 @@ def draw_keypoints(
 
 
 def _fixed_point(pixel: Float64Array) -> tuple[int, int]:
-    """Return a place with the fraction of a pixel that OpenCV's drawing takes as an integer."""
+    """Return a pixel in the fixed-point integers that OpenCV draws fractions of pixels by."""
     return round(float(pixel[0]) * 2**_SHIFT), round(float(pixel[1]) * 2**_SHIFT)

@@ -1,4 +1,4 @@
-"""Two pictures side by side with what was matched, and the one laid upon the other."""
+"""Drawing of matches: two images side by side, and one overlaid on the other."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LINE_HEIGHT = 24
 _GAP = 8
 _MAX_COLUMNS = 2400
 _MIN_PANEL_HEIGHT = 360
-# More lines than this hide the pictures; the header tells how many there are in all.
+# More lines than this hide the images; the header has the number of all.
 _MAX_LINES = 100
 _SHIFT = 4
 
@@ -33,13 +33,13 @@ def draw_matches(
     second_from_first: Float64Array | None,
     header: Sequence[str],
 ) -> UInt8Array:
-    """Return the first picture, the second, and the second with the first laid upon it.
+    """Return the first image, the second, and the second overlaid with the first.
 
     Parameters
     ----------
     first, second : (h, w, 3) uint8 BGR
     points_first, points_second : (M, 2) float64
-        Pixels of each picture: the matches.
+        Pixels of each image: the matches.
     inliers : (M,) bool
         Thick green lines; the others are thin and red.
     second_from_first : (3, 3) float64 or None
@@ -48,14 +48,14 @@ def draw_matches(
     """
     panels = [first, second]
     if second_from_first is not None:
-        panels.append(_laid_upon(first, second, second_from_first))
+        panels.append(_overlaid(first, second, second_from_first))
     scale = _scale(panels)
-    shown = [_resized(panel, scale) for panel in panels]
-    height = max(panel.shape[0] for panel in shown)
-    width = sum(panel.shape[1] for panel in shown) + _GAP * (len(shown) - 1)
+    resized = [_resized(panel, scale) for panel in panels]
+    height = max(panel.shape[0] for panel in resized)
+    width = sum(panel.shape[1] for panel in resized) + _GAP * (len(resized) - 1)
     canvas = np.full((height, width, 3), _BACKGROUND_GRAY, np.uint8)
     left, offsets = 0, []
-    for panel in shown:
+    for panel in resized:
         canvas[: panel.shape[0], left : left + panel.shape[1]] = panel
         offsets.append(left)
         left += panel.shape[1] + _GAP
@@ -69,22 +69,20 @@ def draw_matches(
     return np.vstack([_text(header, width), canvas])
 
 
-def _laid_upon(
-    first: UInt8Array, second: UInt8Array, second_from_first: Float64Array
-) -> UInt8Array:
-    """Return the second picture, half of it the first warped, with the first's outline."""
+def _overlaid(first: UInt8Array, second: UInt8Array, second_from_first: Float64Array) -> UInt8Array:
+    """Return the second image, half of it the first warped, with the first's outline."""
     size = (second.shape[1], second.shape[0])
     warped = cv2.warpPerspective(first, second_from_first, size, flags=cv2.INTER_AREA)
     everywhere = np.full(first.shape[:2], 255, np.uint8)
-    covered = np.asarray(cv2.warpPerspective(everywhere, second_from_first, size)) == 255
-    blend = np.asarray(cv2.addWeighted(second, 0.5, warped, 0.5, 0.0))
+    covered = cv2.warpPerspective(everywhere, second_from_first, size) == 255
+    blend = cv2.addWeighted(second, 0.5, warped, 0.5, 0.0)
     canvas = np.where(covered[..., None], blend, second)
     right, bottom = first.shape[1] - 1, first.shape[0] - 1
     corners = np.array([[0, 0], [right, 0], [right, bottom], [0, bottom]], np.float64)
     depth = corners @ second_from_first[2, :2] + second_from_first[2, 2]
     if np.all(depth > 0):
         outline = apply_homography(second_from_first, corners)
-        # Far beyond the picture the drawing's integers would overflow.
+        # Far beyond the image the drawing's integers would overflow.
         outline = np.clip(outline, -20_000, 20_000)
         fixed = np.round(outline * 2**_SHIFT).astype(np.int32)
         cv2.polylines(
@@ -96,7 +94,7 @@ def _laid_upon(
             lineType=cv2.LINE_AA,
             shift=_SHIFT,
         )
-    return np.asarray(canvas, np.uint8)
+    return canvas
 
 
 def _scale(panels: Sequence[UInt8Array]) -> float:
@@ -120,10 +118,10 @@ def _draw_lines(
 ) -> None:
     step = max(1, -(-len(starts) // _MAX_LINES))
     for start, end in zip(starts[::step], ends[::step], strict=True):
-        a, b = (tuple(int(v) for v in np.round(place)) for place in (start, end))
+        a, b = (tuple(int(v) for v in np.round(pixel)) for pixel in (start, end))
         cv2.line(canvas, a, b, colour, thickness, cv2.LINE_AA)
-        for place in (a, b):
-            cv2.circle(canvas, place, 3, colour, thickness, cv2.LINE_AA)
+        for pixel in (a, b):
+            cv2.circle(canvas, pixel, 3, colour, thickness, cv2.LINE_AA)
 
 
 def _text(lines: Sequence[str], width: int) -> UInt8Array:
@@ -131,8 +129,8 @@ def _text(lines: Sequence[str], width: int) -> UInt8Array:
     for number, line in enumerate(lines):
         (columns, _), _ = cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, 0.6, 1)
         size = 0.6 * min(1.0, (width - 16) / max(1, columns))
-        place = (8, _LINE_HEIGHT * (number + 1) - 4)
+        position = (8, _LINE_HEIGHT * (number + 1) - 4)
         cv2.putText(
-            header, line, place, cv2.FONT_HERSHEY_SIMPLEX, size, _TEXT_COLOUR, 1, cv2.LINE_AA
+            header, line, position, cv2.FONT_HERSHEY_SIMPLEX, size, _TEXT_COLOUR, 1, cv2.LINE_AA
         )
     return header

@@ -1,4 +1,4 @@
-"""A view with what stands on its floor tinted red."""
+"""Drawing of obstacles: a view with the cells of obstacles tinted red."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _SHARE = 0.5
 def draw_obstacles(
     image: UInt8Array, cells: BoolArray, cells_from_pixel: Float64Array
 ) -> UInt8Array:
-    """Return the picture with the marked cells tinted.
+    """Return the image with the marked cells tinted.
 
     Parameters
     ----------
     image : (h, w, 3) uint8 BGR
     cells : (rows, columns) bool
     cells_from_pixel : (3, 3) float64
-        Pixels of the picture to column and row of a cell, whole at its centre.
+        Pixels of the image to column and row of a cell, whole at its centre.
     """
     marked = cv2.warpPerspective(
         cells.astype(np.uint8),
@@ -30,4 +30,4 @@ def draw_obstacles(
         flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
     )
     tinted = (1.0 - _SHARE) * image + _SHARE * _TINT
-    return np.where((np.asarray(marked) > 0)[..., None], tinted, image).astype(np.uint8)
+    return np.where((marked > 0)[..., None], tinted, image).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The path driven, over the map, with a scale bar."""
+"""Drawing of a trajectory over the map, with a scale bar."""
 
 from __future__ import annotations
 
@@ -74,14 +74,14 @@ def _grid_around(points: Float64Array) -> Grid:
 
 
 def _paled(image: UInt8Array, mask: UInt8Array, grid: Grid, view_grid: Grid) -> UInt8Array:
-    """Return the map at the drawing's scale, halfway to the background so that lines stand out."""
-    shown = np.full_like(image, _BACKGROUND_GRAY)
-    cv2.copyTo(image, mask, shown)
+    """Return the map at the scale of the drawing, paled so that lines on it are visible."""
+    visible = np.full_like(image, _BACKGROUND_GRAY)
+    cv2.copyTo(image, mask, visible)
     factor = grid.metres_per_pixel / view_grid.metres_per_pixel
     size = (max(1, round(grid.width * factor)), max(1, round(grid.height * factor)))
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
-    small = cv2.resize(shown, size, interpolation=method)
-    pale = np.asarray(cv2.addWeighted(small, 0.6, np.full_like(small, _BACKGROUND_GRAY), 0.4, 0.0))
+    small = cv2.resize(visible, size, interpolation=method)
+    pale = cv2.addWeighted(small, 0.6, np.full_like(small, _BACKGROUND_GRAY), 0.4, 0.0)
     canvas = np.full((view_grid.height, view_grid.width, 3), _BACKGROUND_GRAY, np.uint8)
     row = round((view_grid.y_max - grid.y_max) / view_grid.metres_per_pixel)
     column = round((grid.x_min - view_grid.x_min) / view_grid.metres_per_pixel)
@@ -102,11 +102,11 @@ def _draw_scale_bar(canvas: UInt8Array, grid: Grid, unit: Unit) -> None:
     _write(canvas, f"{length:g} {unit}", (left, bottom - 12))
 
 
-def _write(canvas: UInt8Array, text: str, place: tuple[int, int]) -> None:
+def _write(canvas: UInt8Array, text: str, position: tuple[int, int]) -> None:
     """Write dark on a light halo, readable on any floor."""
     halo = (_BACKGROUND_GRAY,) * 3
-    cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, halo, 4, cv2.LINE_AA)
-    cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, _TEXT_COLOUR, 1, cv2.LINE_AA)
+    cv2.putText(canvas, text, position, cv2.FONT_HERSHEY_SIMPLEX, 0.6, halo, 4, cv2.LINE_AA)
+    cv2.putText(canvas, text, position, cv2.FONT_HERSHEY_SIMPLEX, 0.6, _TEXT_COLOUR, 1, cv2.LINE_AA)
 
 
 def _rounded(pixel: Float64Array) -> tuple[int, int]:

@@ -1,34 +1,44 @@
-"""Calibration files: a superset of ROS camera_info in YAML, written to be read by hand."""
+"""calibration.yaml: a superset of ROS camera_info in YAML, with a comment on every unit."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import ArrayLike
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.camera.calibration import Calibration, DistortionModel, Intrinsics
-from slamcli.core.camera.mounting import compose_robot_from_image
+from slamcli.core.camera.calibration import Calibration, Intrinsics
 from slamcli.core.errors import CalibrationError, InputError
-from slamcli.core.geometry import apply_homography
+from slamcli.io import calibration_codec
+from slamcli.io.checks import FieldError, check_array, required
 from slamcli.io.files import read_text, write_text
 
 FORMAT_VERSION = 1
-_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
 # ROS drivers write the fisheye model under either name.
 _MODEL_SYNONYMS = {"fisheye": "equidistant", "kannala_brandt": "equidistant"}
-# A robot_from_image rounded by hand still agrees with the mounting to this share of its distances.
-_AGREEMENT = 1e-3
+# What the fields of the codec are called in the file, where it is not the same.
+_YAML_KEYS = {
+    "image_size width": "image_width",
+    "image_size height": "image_height",
+    "distortion": "distortion_coefficients",
+    "pitch_radians": "pitch_degrees, in radians,",
+    "roll_radians": "roll_degrees, in radians,",
+    "pitch_sigma_radians": "pitch_sigma_degrees, in radians,",
+    "roll_sigma_radians": "roll_sigma_degrees, in radians,",
+    "format_version": "ground_plane.format_version",
+    "height_metres": "ground_plane.height_metres",
+    "max_range_metres": "ground_plane.max_range_metres",
+    "robot_from_image": "ground_plane.robot_from_image",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationSource:
-    """What a calibration was made from; kept in its file for the reader.
+    """The photo and the target that a calibration was made from, noted in its file.
 
     Attributes
     ----------
@@ -51,8 +61,8 @@ class CalibrationSource:
 def load_calibration(path: str | Path) -> Calibration:
     """Return the calibration in a YAML file as `save_calibration` writes it.
 
-    ``ground_plane.robot_from_image`` may be left out; where it stands it must agree with the camera
-    matrix, height, pitch and roll, from which the homography is always composed.
+    ``ground_plane.robot_from_image`` may be left out; where it is given it must agree with the
+    camera matrix, height, pitch and roll, from which the homography is always composed.
 
     Raises
     ------
@@ -61,49 +71,25 @@ def load_calibration(path: str | Path) -> Calibration:
     """
     path = Path(path)
     document = _read_document(path, "calibration")
-    intrinsics = _parse_intrinsics(document, path)
     ground = document.get("ground_plane")
     if not isinstance(ground, dict):
         raise CalibrationError(
-            f"{path}: no ground_plane section: this file knows the lens but not where the camera "
-            "is mounted; make one by slam calibrate PHOTO --intrinsics"
+            f"{path}: no ground_plane section: this file describes the lens but not where the "
+            "camera is mounted; make one by slam calibrate PHOTO --intrinsics"
         )
-    version = ground.get("format_version", FORMAT_VERSION)
-    if version != FORMAT_VERSION:
-        raise CalibrationError(
-            f"{path}: ground_plane.format_version is {version}; this slamcli reads {FORMAT_VERSION}"
-        )
-    height = _number(ground, "height_metres", path)
-    pitch = math.radians(_number(ground, "pitch_degrees", path))
-    roll = math.radians(_number(ground, "roll_degrees", path))
-    max_range = _number(ground, "max_range_metres", path)
-    for key, value in (("height_metres", height), ("max_range_metres", max_range)):
-        if value <= 0:
-            raise CalibrationError(f"{path}: ground_plane.{key} is {value:g}; it must be above 0")
-    matrix = intrinsics.camera_matrix
-    composed = compose_robot_from_image(matrix, height, pitch, roll)
-    if "robot_from_image" in ground:
-        stored = _matrix(ground, "robot_from_image", (3, 3), path)
-        _check_agreement(stored, composed, intrinsics.image_size, path)
-    return Calibration(
-        camera_matrix=matrix,
-        distortion=intrinsics.distortion,
-        distortion_model=intrinsics.distortion_model,
-        image_size=intrinsics.image_size,
-        robot_from_image=composed,
-        height_metres=height,
-        pitch_radians=pitch,
-        roll_radians=roll,
-        max_range_metres=max_range,
-        focal_sigma_pixels=_sigma(ground, "focal_sigma_pixels", path),
-        height_sigma_metres=_sigma(ground, "height_sigma_metres", path),
-        pitch_sigma_radians=math.radians(_sigma(ground, "pitch_sigma_degrees", path)),
-        roll_sigma_radians=math.radians(_sigma(ground, "roll_sigma_degrees", path)),
-    )
+    try:
+        plain = {**_intrinsics_section(document), **_mounting_section(ground)}
+        if "robot_from_image" in ground:
+            # Only checked: the numbers that it comes from may have more digits.
+            given = _matrix_data(ground, "robot_from_image")
+            calibration_codec.from_dict({**plain, "robot_from_image": given})
+        return calibration_codec.from_dict(plain)
+    except FieldError as error:
+        raise _named(error, path) from error
 
 
 def load_origin(path: str | Path) -> CalibrationSource | None:
-    """Return what a calibration file says it was made from; None where it does not say.
+    """Return the photo and target noted in a calibration file; None where there are none.
 
     Raises
     ------
@@ -114,12 +100,15 @@ def load_origin(path: str | Path) -> CalibrationSource | None:
     made_from = ground.get("made_from") if isinstance(ground, dict) else None
     if not isinstance(made_from, dict) or not {"side_metres", "corners"} <= made_from.keys():
         return None
-    return CalibrationSource(
-        str(made_from.get("photo", "")),
-        str(made_from.get("target", "")),
-        _number(made_from, "side_metres", path),
-        _array(made_from["corners"], "made_from.corners", path).reshape(-1, 2),
-    )
+    try:
+        return CalibrationSource(
+            str(made_from.get("photo", "")),
+            str(made_from.get("target", "")),
+            _number(made_from, "side_metres"),
+            check_array(made_from["corners"], "made_from.corners").reshape(-1, 2),
+        )
+    except FieldError as error:
+        raise _named(error, path) from error
 
 
 def load_intrinsics(path: str | Path) -> Intrinsics:
@@ -131,7 +120,11 @@ def load_intrinsics(path: str | Path) -> Intrinsics:
         One line that names the file, the key and what is wrong with it.
     """
     path = Path(path)
-    return _parse_intrinsics(_read_document(path, "camera_info"), path)
+    document = _read_document(path, "camera_info")
+    try:
+        return calibration_codec.intrinsics_from_dict(_intrinsics_section(document))
+    except FieldError as error:
+        raise _named(error, path) from error
 
 
 def save_calibration(
@@ -238,108 +231,63 @@ def _read_document(path: Path, what: str) -> dict[str, Any]:
     except (yaml.YAMLError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f" (line {mark.line + 1})" if mark is not None else ""
-        raise CalibrationError(f"{path}: not a {what} file: this is no YAML{where}") from error
+        raise CalibrationError(f"{path}: not a {what} file: it is not YAML{where}") from error
     if not isinstance(document, dict):
         raise CalibrationError(f"{path}: not a {what} file: no keys such as camera_matrix in it")
     return document
 
 
-def _parse_intrinsics(document: dict[str, Any], path: Path) -> Intrinsics:
-    size = tuple(_whole(document, key, path) for key in ("image_width", "image_height"))
-    matrix = _matrix(document, "camera_matrix", (3, 3), path)
-    upright = np.array_equal(matrix[2], [0.0, 0.0, 1.0]) and matrix[1, 0] == 0.0
-    if not upright or matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
-        raise CalibrationError(
-            f"{path}: camera_matrix is singular or not of the form [fx, 0, cx; 0, fy, cy; 0, 0, 1]"
-        )
+def _intrinsics_section(document: dict[str, Any]) -> dict[str, Any]:
+    """Return the lens of a camera_info document by the codec's names."""
     name = str(document.get("distortion_model", "plumb_bob"))
-    model = _MODEL_SYNONYMS.get(name, name)
-    if model not in get_args(DistortionModel):
-        known = ", ".join(get_args(DistortionModel))
-        raise CalibrationError(f"{path}: distortion_model {name!r} is not one of {known}")
-    counts = _COEFFICIENTS[model]
-    distortion = np.zeros(counts[-1])
+    section = {
+        "image_size": [_number(document, key) for key in ("image_width", "image_height")],
+        "camera_matrix": _matrix_data(document, "camera_matrix"),
+        "distortion_model": _MODEL_SYNONYMS.get(name, name),
+    }
     if "distortion_coefficients" in document:
-        distortion = _numbers(document, "distortion_coefficients", path)
-        if len(distortion) not in counts:
-            wanted = " or ".join(map(str, counts))
-            raise CalibrationError(
-                f"{path}: distortion_coefficients has {len(distortion)} numbers; "
-                f"{model} has {wanted}"
-            )
-    return Intrinsics(matrix, distortion, cast("DistortionModel", model), (size[0], size[1]))
+        section["distortion"] = _matrix_data(document, "distortion_coefficients")
+    return section
 
 
-def _check_agreement(
-    stored: Float64Array,
-    composed: Float64Array,
-    image_size: tuple[int, int],
-    path: Path,
-) -> None:
-    """Compare where both put pixels of the lower half, as far as those show floor."""
-    if abs(np.linalg.det(stored / np.abs(stored).max())) < 1e-12:
-        raise CalibrationError(f"{path}: ground_plane.robot_from_image is singular")
-    width, height = image_size
-    pixels = np.array([(x * width, y * height) for x in (0.1, 0.5, 0.9) for y in (0.7, 0.85, 1.0)])
-    depth = np.column_stack([pixels, np.ones(len(pixels))]) @ composed[2]
-    pixels = pixels[depth > 0]
-    floor, other = apply_homography(composed, pixels), apply_homography(stored, pixels)
-    apart = np.linalg.norm(floor - other, axis=1) / np.linalg.norm(floor, axis=1)
-    if len(apart) and not np.max(apart) < _AGREEMENT:
-        raise CalibrationError(
-            f"{path}: ground_plane.robot_from_image does not agree with camera_matrix, "
-            "height_metres, pitch_degrees and roll_degrees; correct it, or leave it out"
-        )
+def _mounting_section(ground: dict[str, Any]) -> dict[str, float]:
+    """Return a ground_plane section by the codec's names, angles in radians; raises FieldError."""
+    version = ground.get("format_version", FORMAT_VERSION)
+    if version != FORMAT_VERSION:
+        raise FieldError("format_version", f"is {version}; this slamcli reads {FORMAT_VERSION}")
+    return {
+        "height_metres": _number(ground, "height_metres"),
+        "pitch_radians": math.radians(_number(ground, "pitch_degrees")),
+        "roll_radians": math.radians(_number(ground, "roll_degrees")),
+        "max_range_metres": _number(ground, "max_range_metres"),
+        "focal_sigma_pixels": _number(ground, "focal_sigma_pixels", math.nan),
+        "height_sigma_metres": _number(ground, "height_sigma_metres", math.nan),
+        "pitch_sigma_radians": math.radians(_number(ground, "pitch_sigma_degrees", math.nan)),
+        "roll_sigma_radians": math.radians(_number(ground, "roll_sigma_degrees", math.nan)),
+    }
 
 
-def _number(section: dict[str, Any], key: str, path: Path) -> float:
-    if key not in section:
-        raise CalibrationError(f"{path}: {key} is missing")
-    return float(_array(section[key], key, path).reshape(-1)[0])
-
-
-def _sigma(section: dict[str, Any], key: str, path: Path) -> float:
-    value = section.get(key, math.nan)
+def _number(section: dict[str, Any], key: str, default: float | None = None) -> float:
+    """Return a number of a section; without a default it must be there. Raises FieldError."""
+    value = required(section, key) if default is None else section.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise CalibrationError(f"{path}: {key} is {value!r}, not a number")
-    return float(value)
+        raise FieldError(key, f"is {value!r}, not a number")
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise FieldError(key, "is too large") from error
 
 
-def _whole(section: dict[str, Any], key: str, path: Path) -> int:
-    value = _number(section, key, path)
-    if value < 1 or value != round(value):
-        raise CalibrationError(f"{path}: {key} is {value:g}; a picture's size in pixels is needed")
-    return int(value)
-
-
-def _matrix(section: dict[str, Any], key: str, shape: tuple[int, int], path: Path) -> Float64Array:
-    numbers = _numbers(section, key, path)
-    if len(numbers) != shape[0] * shape[1]:
-        raise CalibrationError(
-            f"{path}: {key} has {len(numbers)} numbers; {shape[0]} x {shape[1]} are needed"
-        )
-    return numbers.reshape(shape)
-
-
-def _numbers(section: dict[str, Any], key: str, path: Path) -> Float64Array:
-    """Return the flat data of a matrix, in camera_info's form or as plain nested lists."""
-    if key not in section:
-        raise CalibrationError(f"{path}: {key} is missing")
-    value = section[key]
+def _matrix_data(section: dict[str, Any], key: str) -> Any:
+    """Return the numbers of a matrix in camera_info's form, or as plain lists."""
+    value = required(section, key)
     if isinstance(value, dict):
         if "data" not in value:
-            raise CalibrationError(f"{path}: {key} has no data")
-        value = value["data"]
-    return _array(value, key, path).reshape(-1)
+            raise FieldError(key, "has no data")
+        return value["data"]
+    return value
 
 
-def _array(value: ArrayLike, key: str, path: Path) -> Float64Array:
-    try:
-        if isinstance(value, bool | str) or value is None:
-            raise TypeError
-        numbers = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise CalibrationError(f"{path}: {key} is {value!r}, not a number") from error
-    if numbers.size == 0 or not np.all(np.isfinite(numbers)):
-        raise CalibrationError(f"{path}: {key} holds a number that is not finite")
-    return numbers
+def _named(error: FieldError, path: Path) -> CalibrationError:
+    """Return the error of a field with the file, and the key as the file has it."""
+    return CalibrationError(f"{path}: {_YAML_KEYS.get(error.key, error.key)} {error.reason}")

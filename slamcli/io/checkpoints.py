@@ -1,4 +1,4 @@
-"""What a run that was cut off needs to go on: its state, in a hidden folder of its output."""
+"""Checkpoints: the state of an unfinished run, in a hidden folder of its output, to resume it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import pickle
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from slamcli.core.errors import OutputError, SlamcliError
@@ -16,7 +15,7 @@ from slamcli.io.files import write_bytes, write_text
 
 _FOLDER = ".resume"
 _KEY, _STATE = "run.txt", "mapper.pickle"
-# A state is read back from a folder that others may have written to: nothing else is loaded.
+# A state is read back from a folder that others may have written to: only these are loaded.
 _PATHS = {"PosixPath", "WindowsPath"}
 _ALLOWED = {
     "pathlib": _PATHS,
@@ -30,9 +29,9 @@ _ALLOWED = {
 
 
 class Checkpoint:
-    """The state of one run, kept beside its output until that is whole; a context manager.
+    """The saved state of one run, in its output until that is complete; a context manager.
 
-    It goes with success, and with an error that the user is told of; what ends the program leaves
+    It is deleted on success, and on an error that is reported to the user; a killed program leaves
     it for the next run.
 
     Parameters
@@ -49,17 +48,12 @@ class Checkpoint:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
         if not self._kept and (error is None or isinstance(error, SlamcliError)):
             self.close()
 
     def keep(self) -> None:
-        """Leave the state although the run ends well: the user has cut it short."""
+        """Do not delete the state at the end: the user has interrupted the run."""
         self._kept = True
 
     @property
@@ -69,13 +63,13 @@ class Checkpoint:
 
     @property
     def drawings(self) -> Path:
-        """Where drawings are kept until the run is whole."""
+        """Where drawings are kept until the run is complete."""
         return self.folder / "matches"
 
     def open(self, key: str, *, resume: bool) -> bool:
-        """Begin; tell whether an earlier run of the same key can be gone on with.
+        """Begin a run; return whether an earlier one of the same key can be resumed.
 
-        Anything else that is there from an earlier run is deleted.
+        The state of any other earlier run is deleted.
         """
         self._key = key
         path = self.folder / _KEY
@@ -85,13 +79,13 @@ class Checkpoint:
         return same
 
     def save(self, state: object) -> None:
-        """Keep a state, in place of the one before."""
+        """Write a state, in place of the one before."""
         if not (self.folder / _KEY).is_file():
             write_text(self.folder / _KEY, self._key)
         write_bytes(self.folder / _STATE, pickle.dumps(state, protocol=pickle.HIGHEST_PROTOCOL))
 
     def load(self) -> object | None:
-        """Return the state kept last; None when there is none that can be read."""
+        """Return the state written last; None when there is none that can be read."""
         try:
             data = (self.folder / _STATE).read_bytes()
             return _Unpickler(io.BytesIO(data)).load()  # type: ignore[no-any-return]
@@ -101,7 +95,7 @@ class Checkpoint:
             return None
 
     def close(self) -> None:
-        """Delete all that is kept."""
+        """Delete the state, the tiles and the drawings."""
         try:
             if self.folder.exists():
                 shutil.rmtree(self.folder)
@@ -110,15 +104,15 @@ class Checkpoint:
 
 
 def run_key(options: str, paths: Sequence[Path]) -> str:
-    """Return what tells one run from another: its options, and its files by name, size and time."""
+    """Return a digest that identifies a run: its options, its files by name, size and time."""
     digest = hashlib.sha256(options.encode())
     for path in paths:
         try:
             status = path.stat()
-            told = f"{path.absolute()}\n{status.st_size}\n{status.st_mtime_ns}\n"
+            entry = f"{path.absolute()}\n{status.st_size}\n{status.st_mtime_ns}\n"
         except OSError:
-            told = f"{path.absolute()}\n-\n"
-        digest.update(told.encode())
+            entry = f"{path.absolute()}\n-\n"
+        digest.update(entry.encode())
     return digest.hexdigest() + "\n"
 
 
@@ -129,4 +123,4 @@ class _Unpickler(pickle.Unpickler):
             return super().find_class(module, name)
         if name in _ALLOWED.get(module, ()):
             return super().find_class(module, name)
-        raise pickle.UnpicklingError(f"{module}.{name} has no place in a run's state")
+        raise pickle.UnpicklingError(f"{module}.{name} is not allowed in a run's state")

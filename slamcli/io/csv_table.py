@@ -1,4 +1,4 @@
-"""CSV with a header, its columns known by any of their usual names; each fault one line."""
+"""CSV tables with a header, whose columns are found by any of their usual names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from slamcli.core.arrays import Float64Array
 from slamcli.core.errors import InputError
 
-# Of a column of angles in degrees; its name says so.
+# Endings of the name of a column of angles in degrees.
 _DEGREES = ("_degrees", "_deg")
 HEADINGS = ("heading", "theta", "yaw")
 STAMPS = ("stamp", "timestamp", "time", "t", "seconds")
@@ -44,7 +44,7 @@ class Table:
         return len(self.rows)
 
     def has(self, names: tuple[str, ...]) -> bool:
-        """Tell whether one of these names heads a column."""
+        """Return whether one of these names heads a column."""
         return any(name in self.header for name in names)
 
     def words(self, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -88,7 +88,7 @@ class Table:
         return self.numbers(names, blank=blank)
 
     def has_angles(self, names: tuple[str, ...]) -> bool:
-        """Tell whether one of these names heads a column, in radians or degrees."""
+        """Return whether one of these names heads a column, in radians or degrees."""
         return self.has(names) or self.has(tuple(n + ending for n in names for ending in _DEGREES))
 
 

@@ -1,4 +1,4 @@
-"""Writing that leaves a whole file or none: beside its place first, then renamed into it."""
+"""Atomic writing: into a temporary file or folder beside the target, then renamed into place."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from slamcli.core.errors import InputError, OutputError
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all; raises OutputError that names it."""
+    """Write a file completely or not at all; raises OutputError that names it."""
     write_chunks(path, [data])
 
 
 def write_chunks(path: Path, chunks: Iterable[bytes]) -> None:
-    """Write a file, piece after piece, whole or not at all; raises OutputError that names it."""
+    """Write a file from chunks, completely or not at all; raises OutputError that names it."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.")
@@ -42,7 +42,7 @@ def write_chunks(path: Path, chunks: Iterable[bytes]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a UTF-8 text file whole or not at all."""
+    """Write a UTF-8 text file completely or not at all."""
     write_bytes(path, text.encode())
 
 
@@ -64,7 +64,7 @@ def write_image(path: Path, image: UInt8Array, *, jpeg_quality: int = 95) -> Non
 
 
 def refuse_existing(path: Path, *, overwrite: bool) -> None:
-    """Raise OutputError when a file stands where one is to be written and may not be replaced."""
+    """Raise OutputError when the file to be written exists and may not be replaced."""
     if path.is_dir():
         raise OutputError(f"cannot write {path}: it is a folder; name a file")
     if path.exists() and not overwrite:
@@ -75,7 +75,7 @@ def refuse_existing(path: Path, *, overwrite: bool) -> None:
 def output_folder(
     folder: Path, products: tuple[str, ...], *, overwrite: bool, resume: bool = False
 ) -> Iterator[Path]:
-    """Yield an empty staging folder; on success its entries move into `folder`, else it vanishes.
+    """Yield an empty staging folder; on success its entries move into `folder`, else it is deleted.
 
     Parameters
     ----------
@@ -85,20 +85,20 @@ def output_folder(
         Glob patterns of the names that this command may write into `folder`. One that is there
         already is an error, unless `overwrite`, which removes it. Nothing else is ever touched.
     resume : bool
-        An earlier run was cut off here: what it left half-written is removed, and `overwrite` is
-        meant.
+        Go on with an interrupted run: its staging folder is removed, and earlier products are
+        replaced.
 
     Raises
     ------
     OutputError
-        When the folder cannot be written or holds earlier products.
+        When the folder cannot be written or has earlier products.
     """
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"cannot write into {folder}: it is a file; name a folder")
     earlier = _products_in(folder, products)
     if earlier and not (overwrite or resume):
         raise OutputError(
-            f"{folder} already holds {earlier[0].name}; use --overwrite or another --output"
+            f"{folder} already has {earlier[0].name}; use --overwrite or another --output"
         )
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -125,12 +125,12 @@ def output_folder(
 
 
 def remove_folder(folder: Path) -> None:
-    """Delete a folder of our own and all that is in it."""
+    """Delete a folder that this program made, and all that is in it."""
     shutil.rmtree(folder, ignore_errors=True)
 
 
 def move_folder(source: Path, target: Path) -> None:
-    """Move a folder within one file system; nothing when there is none."""
+    """Move a folder within one file system; does nothing when there is none."""
     try:
         if source.is_dir():
             source.replace(target)

@@ -1,4 +1,4 @@
-"""Folders of pictures: listed in natural order, decoded to 8-bit BGR, each fault in one line."""
+"""Frame files: listed in natural order, decoded to 8-bit BGR, each fault reported in one line."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _EPOCH_NAME = re.compile(r"\d{9,10}\.\d+|\d{10}")
 
 @dataclass(frozen=True, slots=True)
 class FrameFile:
-    """A frame that has not been read yet.
+    """The file of a frame, not read yet.
 
     Attributes
     ----------
     index : int
-        Place in the sequence, from 0.
+        Number in the sequence, from 0.
     path : Path
     stamp : float or None
         Seconds, from the name or the frame rate.
@@ -168,16 +168,16 @@ def _decode(path: Path, kind: int = cv2.IMREAD_COLOR_BGR) -> tuple[UInt8Array, U
     except cv2.error as error:
         raise FrameError("too many pixels to be decoded; save it smaller") from error
     whole = decoded is not None and _ends_whole(data)
-    times = 2 if kind == cv2.IMREAD_REDUCED_COLOR_2 else 1
-    image = np.asarray(decoded) if whole else _decode_strictly(data, times)
-    height, width = times * image.shape[0], times * image.shape[1]
+    factor = 2 if kind == cv2.IMREAD_REDUCED_COLOR_2 else 1
+    image = np.asarray(decoded) if whole else _decode_strictly(data, factor)
+    height, width = factor * image.shape[0], factor * image.shape[1]
     if min(height, width) < MIN_SIDE_PIXELS:
         raise FrameError(f"{width}x{height} pixels is too small to show a floor")
     return np.asarray(image, dtype=np.uint8), _transparency(data)
 
 
 def _ends_whole(data: bytes) -> bool:
-    """Tell whether a JPEG or PNG, which OpenCV cuts off silently, has its end marker in place."""
+    """Return whether a JPEG or PNG has its end marker; OpenCV decodes a truncated one silently."""
     if data.startswith(b"\xff\xd8"):
         return data.rstrip(b"\0").endswith(b"\xff\xd9")
     if data.startswith(b"\x89PNG"):
@@ -185,10 +185,12 @@ def _ends_whole(data: bytes) -> bool:
     return True
 
 
-def _decode_strictly(data: bytes, times: int) -> UInt8Array:
-    """Decode by Pillow, which refuses a file that ends too soon; raises FrameError.
+def _decode_strictly(data: bytes, factor: int) -> UInt8Array:
+    """Decode by Pillow, which refuses a truncated file, and shrink by `factor`.
 
-    The picture comes so many times smaller.
+    Raises
+    ------
+    FrameError
     """
     try:
         image = imageio.imread(io.BytesIO(data), index=0, plugin="pillow", mode="RGB", rotate=True)
@@ -198,13 +200,13 @@ def _decode_strictly(data: bytes, times: int) -> UInt8Array:
         else:
             fault = "truncated: the end of the file is missing"
         raise FrameError(fault) from error
-    small = cv2.resize(image, None, fx=1 / times, fy=1 / times, interpolation=cv2.INTER_AREA)
+    small = cv2.resize(image, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
     return np.ascontiguousarray(np.asarray(small, np.uint8)[..., ::-1])
 
 
 def _transparency(data: bytes) -> UInt8Array | None:
     """Return the alpha channel of a PNG that has one which hides something."""
-    # Byte 25 of a PNG is its colour type; 4 and 6 carry alpha. Others spare a second decode.
+    # Byte 25 of a PNG is its colour type; 4 and 6 carry alpha. No other needs a second decode.
     if not data.startswith(b"\x89PNG") or len(data) < 26 or data[25] not in {4, 6}:
         return None
     decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)

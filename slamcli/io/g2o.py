@@ -1,4 +1,4 @@
-"""The pose graph itself, for any other solver: g2o's text format, and a table of the links."""
+"""The pose graph for other solvers: g2o's text format, and links.csv."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def write_g2o(path: Path, poses: Mapping[int, Pose2], links: Sequence[Link]) -> 
 
     Kuemmerle et al., g2o: A general framework for graph optimization, ICRA 2011: ``VERTEX_SE2 id x
     y theta``; ``EDGE_SE2 a b x y theta`` and the upper triangle of the inverse covariance, in b's
-    own axes, row by row. Metres and radians. ``FIX`` holds the first pose.
+    own axes, row by row. Metres and radians. ``FIX`` fixes the first pose.
 
     Parameters
     ----------
@@ -58,15 +58,15 @@ def write_links(path: Path, links: Sequence[Link], switched_off: Container[int])
     path : Path
     links : sequence of Link
     switched_off : container of int
-        Places in `links` of those that the others contradict, and that were not used.
+        Indices into `links` of those that the others contradict, and that were not used.
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(LINK_COLUMNS)
-    for place, link in enumerate(links):
+    for index, link in enumerate(links):
         motion = link.a_from_b
         numbers = (f"{motion.x:.6f}", f"{motion.y:.6f}", f"{motion.theta:.7f}")
         score = "" if math.isnan(link.score) else f"{link.score:.4f}"
-        used = "no" if place in switched_off else "yes"
+        used = "no" if index in switched_off else "yes"
         writer.writerow((link.a, link.b, link.kind, *numbers, link.inliers, score, used))
     write_text(path, stream.getvalue())

@@ -1,4 +1,4 @@
-"""The way driven as GeoJSON (RFC 7946), for QGIS, web maps and the like."""
+"""Trajectories as GeoJSON (RFC 7946), for QGIS and web maps."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def write_geojson(path: Path, tracks: Mapping[int, Float64Array]) -> None:
     tracks : mapping of fragment to (N, 2) WGS84 latitude and longitude, degrees
     """
     features = []
-    for fragment, places in tracks.items():
+    for fragment, positions in tracks.items():
         # GeoJSON puts the longitude first; nine decimals are a tenth of a millimetre.
-        coordinates = [[round(lon, 9), round(lat, 9)] for lat, lon in places.tolist()]
+        coordinates = [[round(lon, 9), round(lat, 9)] for lat, lon in positions.tolist()]
         geometry: dict[str, object] = {"type": "LineString", "coordinates": coordinates}
         if len(coordinates) == 1:
             geometry = {"type": "Point", "coordinates": coordinates[0]}

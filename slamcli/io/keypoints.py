@@ -1,4 +1,4 @@
-"""features.csv: one row a point that a detector found."""
+"""features.csv: one row for each keypoint that a detector found."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def write_keypoints(
 ) -> None:
     """Write one row a point.
 
-    x and y are the column and the row, in pixels of the picture that was searched (the bird's-eye
-    view, with a calibration, and then also the place on the floor in metres, in the robot's
-    frame); size is a diameter in its pixels, angle is in degrees, clockwise, nan where the
+    x and y are the column and the row, in pixels of the picture that was searched: with a
+    calibration the bird's-eye view, and then also the point on the floor in metres, in the robot's
+    frame; size is a diameter in its pixels, angle is in degrees, clockwise, nan where the
     descriptor does not turn; octave is the pyramid level.
     """
     stream = io.StringIO()

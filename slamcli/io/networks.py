@@ -1,4 +1,4 @@
-"""Trained networks from the user's ONNX files, through OpenCV's own classes.
+"""Learned features and matching (ALIKED, DISK, LightGlue): the user's ONNX files, run by OpenCV.
 
 ALIKED: Zhao et al., IEEE Transactions on Instrumentation and Measurement 72, 2023. DISK:
 Tyszkiewicz et al., NeurIPS 2020. LightGlue: Lindenberger et al., ICCV 2023.
@@ -18,19 +18,19 @@ from slamcli.core.config import FeatureMethod
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.networks import MatchNetwork, NetworkPoints, PointNetwork
 
-# What the published files take, and OpenCV's own defaults.
+# The input sizes of the published files, and OpenCV's own defaults.
 _ALIKED_SIZE = (640, 640)
 _DISK_SIZE = (1024, 1024)
 # DISK halves its picture four times.
 _DISK_STRIDE = 16
-# LightGlue's own: a less sure pair is none.
+# LightGlue's own threshold: a match of less confidence is dropped.
 _MIN_CONFIDENCE = 0.1
 
 
 def load_point_network(
     method: FeatureMethod, path: Path, size: tuple[int, int] | None
 ) -> PointNetwork:
-    """Load ALIKED or DISK and try it once.
+    """Load ALIKED or DISK and run it once, to check it.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def load_point_network(
         An ONNX file with the input ``image`` (1, 3, h, w) and the outputs ``keypoints``,
         ``descriptors`` and ``scores``.
     size : (int, int) or None
-        Width and height of its pictures; None: what the published files take.
+        Width and height of its input; None: that of the published files.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def load_point_network(
     """
     _check_file(path)
     network = _aliked(path, size) if method == "aliked" else _disk(path, size)
-    # What an unfit network says comes once here, not as every frame's reason.
+    # A network that does not fit is reported once here, not as the reason of every frame.
     width, height = network.size
     noise = np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8)
     try:
@@ -82,7 +82,7 @@ def load_match_network(path: Path) -> MatchNetwork:
 
 
 def _check_file(path: Path) -> None:
-    """Raise InputError for a file that cannot be opened, whose reason OpenCV does not tell."""
+    """Raise InputError for a file that cannot be opened: OpenCV does not give the reason."""
     try:
         with path.open("rb"):
             pass
@@ -95,7 +95,7 @@ def _unreadable(path: Path, error: cv2.error) -> str:
 
 
 def _short(error: cv2.error) -> str:
-    """Return what OpenCV says, without where in its sources it says so."""
+    """Return OpenCV's message without the place in its sources."""
     text = " ".join(str(error.err or error).split())
     return text.removesuffix(".")
 
@@ -128,7 +128,7 @@ def _disk(path: Path, size: tuple[int, int] | None) -> PointNetwork:
 
 
 class _Points:
-    """ALIKED or DISK; one picture at a time, as OpenCV's networks keep their layers' results."""
+    """ALIKED or DISK, run on one picture at a time: OpenCV's networks have a state."""
 
     def __init__(
         self,
@@ -143,7 +143,7 @@ class _Points:
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[object, ...]:
-        # A run's state names the file; the network is read from it again.
+        # A checkpoint stores the file's path; the network is read from it again.
         return self._make, (self._path, self._size)
 
     def __str__(self) -> str:
@@ -168,7 +168,7 @@ class _Points:
 
 
 class _LightGlue:
-    """LightGlue; one pair at a time."""
+    """LightGlue, run on one pair of frames at a time."""
 
     def __init__(self, path: Path, matcher: cv2.LightGlueMatcher) -> None:
         self._path, self._matcher = path, matcher
@@ -182,15 +182,15 @@ class _LightGlue:
 
     def match(
         self,
-        places_a: Float32Array,
-        places_b: Float32Array,
+        positions_a: Float32Array,
+        positions_b: Float32Array,
         descriptors_a: Float32Array,
         descriptors_b: Float32Array,
     ) -> tuple[Int32Array, Float32Array]:
         try:
             with self._lock:
-                # Without picture sizes OpenCV takes the places as they are.
-                self._matcher.setPairInfo(places_a, places_b)
+                # Without picture sizes OpenCV takes the coordinates as they are.
+                self._matcher.setPairInfo(positions_a, positions_b)
                 found = self._matcher.match(descriptors_a, descriptors_b)
         except cv2.error as error:
             raise InputError(

@@ -14,6 +14,8 @@ from slamcli.core.geometry import covariance_in_map
 from slamcli.core.records import PoseEstimate
 from slamcli.io.files import write_text
 
+# Decimals of metres and of radians: a micrometre, and less than that ten metres away.
+_LENGTH_DIGITS, _ANGLE_DIGITS = 6, 7
 COLUMNS = (
     "index",
     "frame",
@@ -55,7 +57,7 @@ def _row(estimate: PoseEstimate) -> list[str]:
     pose, covariance = estimate.map_from_robot, estimate.covariance
     if pose is None:
         return [*head, *[""] * (len(COLUMNS) - len(head))]
-    place = [str(estimate.fragment), f"{pose.x:.6f}", f"{pose.y:.6f}", f"{pose.theta:.7f}"]
+    place = [str(estimate.fragment), _length(pose.x), _length(pose.y), _angle(pose.theta)]
     if covariance is None:
         sigmas = [""] * 3
     else:
@@ -65,6 +67,14 @@ def _row(estimate: PoseEstimate) -> list[str]:
     tilt = [""] * 3
     if estimate.rocking is not None:
         rocking = estimate.rocking
-        tilt = [f"{rocking.pitch_radians:.7f}", f"{rocking.roll_radians:.7f}"]
-        tilt.append(f"{rocking.height_metres:.6f}")
+        tilt = [_angle(rocking.pitch_radians), _angle(rocking.roll_radians)]
+        tilt.append(_length(rocking.height_metres))
     return [*head, *place, *sigmas, str(estimate.inliers), score, *tilt]
+
+
+def _length(metres: float) -> str:
+    return f"{metres:.{_LENGTH_DIGITS}f}"
+
+
+def _angle(radians: float) -> str:
+    return f"{radians:.{_ANGLE_DIGITS}f}"

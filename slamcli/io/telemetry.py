@@ -1,4 +1,4 @@
-"""What the robot's other senses say, and the truth when it is known: one CSV each.
+"""Odometry, compass, GPS and ground truth: one CSV each.
 
 Lengths in metres, angles in radians counter-clockwise, stamps in seconds, WGS84 in degrees.
 """
@@ -26,7 +26,7 @@ _BEARINGS = ("bearing", "azimuth")
 _LATITUDES, _LONGITUDES = ("latitude", "lat"), ("longitude", "lon", "lng", "long")
 _COMPASS_SIGMAS = ("sigma", "sigma_heading", "sigma_yaw")
 _GPS_SIGMAS = ("sigma", "sigma_metres", "accuracy", "horizontal_accuracy")
-# What cheap sensors do, for files that tell no sigma.
+# Typical of cheap sensors, for files without a column of sigmas.
 _COMPASS_SIGMA_RADIANS = math.radians(3.0)
 _GPS_SIGMA_METRES = 3.0
 
@@ -73,7 +73,7 @@ def write_gps(
 def read_odometry(path: Path) -> list[OdometryReading]:
     """Return the readings of a CSV with columns stamp (s), x, y (m), heading (rad), or of TUM.
 
-    ``heading_degrees`` is converted. The poses are integrated, from wherever it began.
+    ``heading_degrees`` is converted. The poses are integrated, from any origin.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def read_odometry(path: Path) -> list[OdometryReading]:
 
 
 def read_compass(path: Path) -> list[CompassReading]:
-    """Return the readings of a CSV with columns stamp (s), heading (rad) and perhaps sigma (rad).
+    """Return the readings of a CSV with columns stamp (s), heading (rad), optionally sigma (rad).
 
     Headings are counter-clockwise from east; a column ``bearing`` is clockwise from north. Each
     may be in degrees: ``heading_degrees``, ``bearing_degrees``, ``sigma_degrees``.
@@ -121,7 +121,7 @@ def read_compass(path: Path) -> list[CompassReading]:
 
 
 def read_gps(path: Path) -> list[GpsReading]:
-    """Return the readings of a CSV with columns stamp (s), latitude, longitude and perhaps sigma.
+    """Return the readings of a CSV with columns stamp (s), latitude, longitude, optionally sigma.
 
     Degrees, WGS84; sigma in metres, east and north alike.
 

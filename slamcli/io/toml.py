@@ -1,4 +1,4 @@
-"""run.toml: what a run was told and what came of it."""
+"""run.toml: the options of a run and its counts, as flat TOML tables."""
 
 from __future__ import annotations
 
@@ -45,5 +45,5 @@ def _literal(value: Scalar) -> str:
         return repr(value)
     if isinstance(value, tuple):
         return f"[{', '.join(map(_literal, value))}]"
-    # What is no number or word, such as a network, is told by its name.
+    # Anything else, such as a path or a network, is written as its text.
     return json.dumps(value, ensure_ascii=False, default=str)

@@ -1,4 +1,4 @@
-"""Trajectories of any of the field's kinds: poses.csv, truth.csv, TUM and KITTI."""
+"""Trajectory files: poses.csv, truth.csv and any CSV with a header, TUM and KITTI."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _MAX_LEAN_DEGREES = 15.0
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Return the poses of a file, its format told by its content.
+    """Return the poses of a file, whose format is found from its content.
 
     - CSV with a header and the columns x, y (m), heading (rad; or heading_degrees); stamp, frame,
-      fragment and sigma_x, sigma_y, sigma_heading where there are such. Rows without x are frames
-      without a pose. poses.csv and truth.csv are such files.
+      fragment and sigma_x, sigma_y, sigma_heading are optional. Rows without x are frames without
+      a pose. poses.csv and truth.csv are such files.
     - TUM: eight numbers a line, stamp, x, y, z, and a quaternion x, y, z, w.
     - KITTI: twelve numbers a line, the upper three rows of a pose's matrix.
 
@@ -55,7 +55,7 @@ def read_trajectory(path: Path) -> Trajectory:
             f"{path}, line {lines[0][0]}: {len(first)} fields without a header; needed is a CSV "
             f"with a header, {_TUM_FIELDS} numbers (TUM) or {_KITTI_FIELDS} (KITTI)"
         )
-    numbers = _matrix(path, lines, len(first))
+    numbers = _parse_rows(path, lines, len(first))
     if len(first) == _TUM_FIELDS:
         return _plain(_poses_of_quaternions(path, numbers[:, 1:], lines), numbers[:, 0])
     return _plain(_poses_of_matrices(path, numbers.reshape(-1, 3, 4), lines), None)
@@ -114,7 +114,8 @@ def _names(table: Table, placed: BoolArray) -> tuple[str, ...] | None:
     return names if all(names) else None
 
 
-def _matrix(path: Path, lines: list[tuple[int, str]], width: int) -> Float64Array:
+def _parse_rows(path: Path, lines: list[tuple[int, str]], width: int) -> Float64Array:
+    """Return (N, width) finite numbers; raises InputError that names the line."""
     rows = []
     for number, line in lines:
         words = line.replace(",", " ").split()

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from glob import escape
 from pathlib import Path
 
 from slamcli.core.arrays import BoolArray
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import FeatureOptions
-from slamcli.core.errors import FrameError, InputError
 from slamcli.core.records import Features, Keypoints, View
 from slamcli.drawing.keypoints import draw_keypoints
-from slamcli.io.files import output_folder, write_image
+from slamcli.io.files import write_image
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.io.keypoints import write_keypoints
 from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.match.fitting import plain_picture
 from slamcli.run.networks import NetworkFiles, with_point_network
-from slamcli.run.session.executor import Progress, ordered
+from slamcli.run.per_frame import Skipped, each_frame, frame_outputs
+from slamcli.run.session.session import Session
 from slamcli.stages import features, view
 from slamcli.stages.view import Resampler
 
@@ -34,43 +33,38 @@ def detect(
     options: FeatureOptions,
     networks: NetworkFiles,
     *,
-    workers: int,
     overwrite: bool,
-    progress: Progress,
+    session: Session,
 ) -> list[str]:
-    """Write one drawing a frame and `features.csv` into `output`; return what to tell the user.
+    """Write one drawing a frame and `features.csv` into `output`; return the lines to print.
 
     Raises
     ------
     InputError, CalibrationError, OutputError
-        InputError too when no frame at all could be searched.
+        InputError also when no frame at all can be searched.
     """
     inputs = open_inputs(sources, calibration_path)
-    stems = [Path(file.name).stem for file in inputs.files]
-    if len(set(stems)) < len(stems):
-        raise InputError("two frames have the same name; search their folders one at a time")
     options = with_point_network(options, networks, options.method)
     resampler = _resampler(inputs)
-    found: list[tuple[str, Keypoints, Features]] = []
-    lines = [inputs.note] if inputs.note else []
-    products = (TABLE, *(f"{escape(stem)}{SUFFIX}" for stem in stems))
-    with output_folder(output, products, overwrite=overwrite) as staging:
+    with frame_outputs(inputs.files, output, (SUFFIX,), TABLE, overwrite=overwrite) as staging:
         work = partial(_search, inputs.calibration, resampler, options, staging)
-        for done, result in enumerate(ordered(work, inputs.files, workers), start=1):
-            if isinstance(result, str):
-                lines.append(f"skipped {result}")
-            else:
-                found.append(result)
-                lines.append(f"{result[0]}: {len(result[1])} {options.method.upper()} points")
-            progress("detecting", done, len(inputs.files))
-        if not found:
-            raise InputError(f"no frame could be searched; {lines[-1]}")
+        results = each_frame("detecting", work, inputs.files, session)
+        found = [result for result in results if not isinstance(result, Skipped)]
         write_keypoints(staging / TABLE, found, inputs.calibration.unit)
-    return [*lines, f"drawings and {TABLE} in {output}"]
+    return [
+        *([inputs.note] if inputs.note else []),
+        *(
+            f"skipped {result.reason}"
+            if isinstance(result, Skipped)
+            else f"{result[0]}: {len(result[1])} {options.method.upper()} points"
+            for result in results
+        ),
+        f"drawings and {TABLE} in {output}",
+    ]
 
 
 def _resampler(inputs: Inputs) -> Resampler | None:
-    """Return what makes bird's-eye views, or None for plain pictures, whose sizes may differ."""
+    """Return the resampler of bird's-eye views; None for plain pictures, whose sizes may differ."""
     if inputs.calibration_path is None:
         return None
     scale = view.registration_metres_per_pixel(inputs.calibration)
@@ -83,27 +77,24 @@ def _search(
     options: FeatureOptions,
     staging: Path,
     file: FrameFile,
-) -> tuple[str, Keypoints, Features] | str:
-    """Draw one frame's points; return them, or the frame's name and why it was skipped."""
-    try:
-        frame = read_frame(file)
-        if resampler is None:
-            picture = plain_picture(frame)
-            seen, calibration, colour = picture.view, picture.calibration, frame.image
-        else:
-            view.check_frame(frame, calibration)
-            seen = view.make_view(frame, resampler, gray=True)
-            colour = view.make_view(frame, resampler, gray=False).image
-        keypoints = features.detect(seen, options)
-    except FrameError as error:
-        return f"{file.name}: {error}"
+) -> tuple[str, Keypoints, Features]:
+    """Draw one frame's points; return its name and them. Raises FrameError."""
+    frame = read_frame(file)
+    if resampler is None:
+        picture = plain_picture(frame)
+        seen, calibration, colour = picture.view, picture.calibration, frame.image
+    else:
+        view.check_frame(frame, calibration)
+        seen = view.make_view(frame, resampler, gray=True)
+        colour = view.make_view(frame, resampler, gray=False).image
+    keypoints = features.detect(seen, options)
     drawing = draw_keypoints(view.to_colour(colour), keypoints, *_removed(seen, options))
     write_image(staging / f"{Path(file.name).stem}{SUFFIX}", drawing)
     return file.name, keypoints, features.to_features(seen, keypoints, calibration)
 
 
 def _removed(seen: View, options: FeatureOptions) -> tuple[BoolArray, BoolArray]:
-    """Return what cleaning made black, and what of the seen the region of interest left out."""
+    """Return (h, w) masks of what cleaning made black and what the region of interest excludes."""
     shown = features.prepare(seen, options)
     was_seen = seen.mask > 0
     cleaned = was_seen & (shown.gray == 0) & (seen.image > 0)

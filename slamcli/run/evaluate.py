@@ -1,4 +1,4 @@
-"""`slam evaluate`: poses against the truth, in words and for a program."""
+"""`slam evaluate`: the errors of poses against true ones, as lines and as JSON."""
 
 from __future__ import annotations
 
@@ -16,13 +16,12 @@ from slamcli.stages.evaluation import evaluate as evaluate_poses
 
 @dataclass(frozen=True, slots=True)
 class EvaluateReport:
-    """What to tell the user.
+    """The errors as lines to print and as JSON.
 
     Attributes
     ----------
     lines : tuple of str
     json : str
-        The same for a program.
     """
 
     lines: tuple[str, ...]
@@ -30,7 +29,7 @@ class EvaluateReport:
 
 
 def evaluate(poses: Path, truth: Path, *, tolerance_seconds: float, delta: int) -> EvaluateReport:
-    """Compare a file of poses with a file of true ones, of any format that is read.
+    """Compare a file of poses with a file of true ones, each in any format that can be read.
 
     Raises
     ------
@@ -65,10 +64,10 @@ def _describe(part: Accuracy) -> list[str]:
     steps = "pose to pose" if part.delta == 1 else f"over {part.delta} poses"
     lines = [
         f"  path          {part.path_metres:.3f} m, {part.poses} poses",
-        f"  ATE           {_told(part.absolute, ' mm', of_path)}",
-        f"  heading       {_told(part.heading, '°')}",
-        f"  RPE           {_told(part.relative, ' mm')}, {steps}",
-        f"  RPE heading   {_told(part.relative_heading, '°')}, {steps}",
+        f"  ATE           {_statistics(part.absolute, ' mm', of_path)}",
+        f"  heading       {_statistics(part.heading, '°')}",
+        f"  RPE           {_statistics(part.relative, ' mm')}, {steps}",
+        f"  RPE heading   {_statistics(part.relative_heading, '°')}, {steps}",
     ]
     if part.consistency is not None:
         lines.append(
@@ -78,7 +77,7 @@ def _describe(part: Accuracy) -> list[str]:
     return lines
 
 
-def _told(errors: Statistics, unit: str, remark: str = "") -> str:
+def _statistics(errors: Statistics, unit: str, remark: str = "") -> str:
     if math.isnan(errors.rmse):
         return "too few poses"
     scale = 1000.0 if unit == " mm" else 1.0
@@ -89,7 +88,7 @@ def _told(errors: Statistics, unit: str, remark: str = "") -> str:
 
 
 def _without_nan(value: Any) -> Any:
-    """Return the same with null for what is not known, as JSON has no nan."""
+    """Return the same with None in place of nan, which JSON does not have."""
     if isinstance(value, dict):
         return {key: _without_nan(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):

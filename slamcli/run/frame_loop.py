@@ -1,4 +1,4 @@
-"""Files of frames through a mapper: read and prepared ahead, placed one by one in their order."""
+"""The frame loop: files read and prepared ahead, then passed through a mapper in their order."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from slamcli.core.records import Frame, PreparedFrame
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.paint.thumbnails import Thumbnails
-from slamcli.run.session.executor import Progress, ordered, threads
+from slamcli.run.session.session import Session
 from slamcli.selfcal import RegisteredDrive
 
 
@@ -29,53 +29,47 @@ def read_and_prepare(
     return prepare(frame)
 
 
-def walk(
+def run_mapper(
     mapper: Mapper,
     files: Sequence[FrameFile],
-    workers: int,
-    progress: Progress,
-    scheduler: str = "",
+    session: Session,
     thumbnails: Thumbnails | None = None,
 ) -> Iterator[int]:
-    """Give a mapper all frames that it has not seen; yield after each how many it has by then.
+    """Pass the frames that a mapper has not seen through it; yield after each how many it has.
 
     Parameters
     ----------
-    glimpses : Thumbnails or None
-        Keeps what the frames look like, where they are read by this process.
+    thumbnails : Thumbnails or None
+        Takes the frames' thumbnails, where this process reads them.
     """
     first = len(mapper.estimates)
-    work = partial(read_and_prepare, mapper.prepare, thumbnails=None if scheduler else thumbnails)
-    prepared_frames = ordered(work, files[first:], workers, scheduler)
-    for done, prepared in enumerate(prepared_frames, start=first + 1):
+    kept = None if session.scheduler else thumbnails
+    work = partial(read_and_prepare, mapper.prepare, thumbnails=kept)
+    for done, prepared in enumerate(session.ordered(work, files[first:]), start=first + 1):
         mapper.step(prepared)
-        progress("locating", done, len(files))
+        session.progress("locating", done, len(files))
         yield done
 
 
-def finish(mapper: Mapper, workers: int) -> None:
-    """Weigh all that a mapper has measured, its loops looked for on so many threads."""
-    with threads(workers) as executor:
+def finish(mapper: Mapper, session: Session) -> None:
+    """Close the remaining loops, on the session's threads, and optimise the whole pose graph."""
+    with session.threads() as executor:
         mapper.finish(executor.map)
 
 
 def register(
-    files: Sequence[FrameFile],
-    options: MapperOptions,
-    workers: int,
-    progress: Progress,
-    calibration: Calibration,
+    files: Sequence[FrameFile], options: MapperOptions, session: Session, calibration: Calibration
 ) -> RegisteredDrive:
-    """Place all frames with one calibration."""
+    """Return the poses of all frames for one calibration."""
     mapper = Mapper(calibration, options)
-    for _ in walk(mapper, files, workers, progress):
+    for _ in run_mapper(mapper, files, session):
         pass
-    finish(mapper, workers)
+    finish(mapper, session)
     return registration_of(mapper)
 
 
 def registration_of(mapper: Mapper) -> RegisteredDrive:
-    """Return what a mapper knows when all frames have come."""
+    """Return the poses, links and map of a mapper after the last frame."""
     return RegisteredDrive(
         mapper.calibration,
         mapper.estimates,

@@ -1,4 +1,4 @@
-"""What every command that reads frames opens first: the list, and the camera that took them."""
+"""The inputs of a command: its frames, as a list of files, and their calibration."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from slamcli.core.camera.calibration import Calibration
-from slamcli.core.camera.projection import top_down_calibration
+from slamcli.core.camera.calibration import Calibration, top_down_calibration
 from slamcli.core.errors import CalibrationError, FrameError, InputError
+from slamcli.core.records import FloorMap, PoseEstimate
 from slamcli.io.calibrations import load_calibration
 from slamcli.io.frames import FrameFile, list_frames, read_frame
 
@@ -17,7 +17,7 @@ CALIBRATION_NAME = "calibration.yaml"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inputs:
-    """Frames and their camera.
+    """The frames of a command and their camera.
 
     Attributes
     ----------
@@ -41,7 +41,9 @@ def open_inputs(
     frame_rate: float | None = None,
     max_range_metres: float | None = None,
 ) -> Inputs:
-    """List the frames and find their calibration: named, else in their folder, else none.
+    """Return the frames and their calibration: the named one, else the one in their folder.
+
+    Without any the frames are taken as top-down pictures, in pixel units.
 
     Raises
     ------
@@ -52,7 +54,7 @@ def open_inputs(
     files = list_frames(sources, frame_rate)
     path, note = calibration_path, ""
     if path is None:
-        path = next((place for place in _places(sources, files) if place.is_file()), None)
+        path = next((path for path in _calibration_paths(sources, files) if path.is_file()), None)
         note = "" if path is None else f"calibration found: {path}"
     if path is None:
         calibration = top_down_calibration(_first_size(files))
@@ -64,7 +66,47 @@ def open_inputs(
     return Inputs(files, calibration, path, note)
 
 
-def _places(sources: Sequence[Path], files: Sequence[FrameFile]) -> list[Path]:
+def map_sources(floor_map: FloorMap, path: Path, remedy: str) -> tuple[Path, ...]:
+    """Return the folders and files of a map's frames.
+
+    Parameters
+    ----------
+    path : Path
+        Of the map, for messages.
+    remedy : str
+        What to do when they are not there.
+
+    Raises
+    ------
+    InputError
+    """
+    if not floor_map.sources:
+        raise InputError(
+            f"{path} does not record where its frames are, as maps do since format version 3: "
+            "stitch them again or, to render the map, give them with --frames"
+        )
+    gone = next((source for source in floor_map.sources if not source.exists()), None)
+    if gone is not None:
+        raise InputError(f"{gone}, where {path} has its frames, does not exist; {remedy}")
+    return floor_map.sources
+
+
+def map_file_of(files: Sequence[FrameFile], estimate: PoseEstimate, *, remedy: str) -> FrameFile:
+    """Return the file of one frame of a map, by its place in the sequence and its name.
+
+    Raises
+    ------
+    InputError
+        When another file has that place; with what to do.
+    """
+    if estimate.index < len(files) and files[estimate.index].name == estimate.name:
+        return files[estimate.index]
+    raise InputError(
+        f"the frames are not those of the map: frame {estimate.index} was {estimate.name}; {remedy}"
+    )
+
+
+def _calibration_paths(sources: Sequence[Path], files: Sequence[FrameFile]) -> list[Path]:
     folders = [source for source in sources if source.is_dir()]
     folders += [files[0].path.parent]
     return [folder / CALIBRATION_NAME for folder in folders]

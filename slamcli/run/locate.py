@@ -1,4 +1,4 @@
-"""`slam locate`: where frames are in a finished map, each by itself."""
+"""`slam locate`: the pose of each frame, by itself, in a finished map."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from slamcli.core.exit_codes import ExitCode, of_placement
 from slamcli.core.geometry import covariance_in_map
 from slamcli.core.records import PoseEstimate
 from slamcli.io.files import refuse_existing
@@ -20,16 +21,16 @@ from slamcli.io.map_file import load_map
 from slamcli.io.poses import write_poses
 from slamcli.mapping.localizer import Locator
 from slamcli.run.frame_loop import read_and_prepare
-from slamcli.run.session.executor import Progress, ordered
+from slamcli.run.session.session import Session
 
 
 @dataclass(frozen=True, slots=True)
 class LocateReport:
-    """What to tell the user, the same for a program, and the exit code."""
+    """The lines to print, the same as JSON, and the exit code."""
 
     lines: tuple[str, ...]
     json: str
-    exit_code: int
+    exit_code: ExitCode
 
 
 def locate(
@@ -37,16 +38,18 @@ def locate(
     sources: Sequence[Path],
     output: Path | None,
     *,
-    workers: int,
     overwrite: bool,
-    progress: Progress,
+    strict: bool = False,
+    session: Session,
 ) -> LocateReport:
-    """Find the frames of folders or files in a map; exit 1 when none is there.
+    """Find the frames of folders or files in a map.
 
     Parameters
     ----------
     output : Path or None
         A CSV as poses.csv.
+    strict : bool
+        Exit 3 when any frame is lost.
 
     Raises
     ------
@@ -56,23 +59,26 @@ def locate(
         refuse_existing(output, overwrite=overwrite)
     locator = Locator(load_map(floor_map))
     files = list_frames(sources, None)
-    found: list[PoseEstimate] = []
     work = partial(read_and_prepare, locator.prepare)
-    for done, prepared in enumerate(ordered(work, files, workers), start=1):
-        found.append(locator.place(prepared))
-        progress("locating", done, len(files))
+    found = [locator.place(prepared) for prepared in session.stage("locating", work, files)]
     if output is not None:
         write_poses(output, found)
     unit = locator.calibration.unit
+    placed = sum(estimate.map_from_robot is not None for estimate in found)
+    code = of_placement(placed, len(found), strict=strict)
+    lines = _lines(found, unit)
+    lines.append(f"{placed} of {len(found)} frames are on the map")
+    if code == ExitCode.INCOMPLETE:
+        lines[-1] = f"incomplete: {lines[-1]}"
     return LocateReport(
-        tuple(_lines(found, unit)),
+        tuple(lines),
         json.dumps([_entry(estimate) for estimate in found], indent=2, ensure_ascii=False),
-        0 if any(estimate.map_from_robot is not None for estimate in found) else 1,
+        code,
     )
 
 
 def _lines(found: Sequence[PoseEstimate], unit: str) -> list[str]:
-    """Return the table: a row a frame, then how many are on the map."""
+    """Return the table: a row a frame."""
     name_width = max(len("frame"), *(len(estimate.name) for estimate in found))
     lines = [
         f"{'frame':<{name_width}}  {'map':>3}  {'x ' + unit:>10}  {'y ' + unit:>10}  "
@@ -90,12 +96,11 @@ def _lines(found: Sequence[PoseEstimate], unit: str) -> list[str]:
             f"{pose.y:>10.4f}  {math.degrees(pose.theta):>9.2f}  {sigma:>9.2g}  {turn:>8.2g}  "
             f"{estimate.score:>6.3f}"
         )
-    placed = sum(estimate.map_from_robot is not None for estimate in found)
-    return [*lines, f"{placed} of {len(found)} frames are on the map"]
+    return lines
 
 
 def _entry(estimate: PoseEstimate) -> dict[str, Any]:
-    """Return what is known of a frame: metres and radians, in the map's axes."""
+    """Return a frame's pose as JSON: metres and radians, in the map's axes; or why it has none."""
     entry: dict[str, Any] = {"frame": estimate.name}
     pose, covariance = estimate.map_from_robot, estimate.covariance
     if pose is None or covariance is None:

@@ -1,37 +1,16 @@
-"""The trained networks that the user names, loaded before the first frame is read."""
+"""The networks of learned features and matching, loaded before the first frame is read."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Literal
 
 from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions
+from slamcli.core.config import NetworkFiles as NetworkFiles
 from slamcli.core.errors import InputError
 from slamcli.io.networks import load_match_network, load_point_network
 
 LEARNED = ("aliked", "disk")
-
-
-@dataclass(frozen=True, slots=True)
-class NetworkFiles:
-    """What the user said of networks.
-
-    Attributes
-    ----------
-    weights : Path or None
-        Of ALIKED or DISK, as ONNX.
-    network_size : (int, int) or None
-        Width and height of the pictures that they take; None: what the published files take.
-    matcher : str
-    matcher_weights : Path or None
-        Of LightGlue, as ONNX.
-    """
-
-    weights: Path | None = None
-    network_size: tuple[int, int] | None = None
-    matcher: Literal["nearest", "lightglue"] = "nearest"
-    matcher_weights: Path | None = None
 
 
 NO_NETWORKS = NetworkFiles()
@@ -56,7 +35,7 @@ def with_point_network(
 def with_match_network(
     options: MatchOptions, files: NetworkFiles, method: FeatureMethod | Literal["auto"]
 ) -> MatchOptions:
-    """Return the options with the network that pairs the points, if any; raises InputError."""
+    """Return the options with the network that matches the points, if any; raises InputError."""
     if files.matcher == "nearest":
         if files.matcher_weights is not None:
             raise InputError("--matcher-weights is for --matcher lightglue: add that, too")
@@ -65,7 +44,7 @@ def with_match_network(
         raise InputError("--matcher lightglue needs its network: add --matcher-weights FILE.onnx")
     if method not in LEARNED:
         raise InputError(
-            f"--matcher lightglue pairs the points of --features {' or '.join(LEARNED)}, "
+            f"--matcher lightglue matches the points of --features {' or '.join(LEARNED)}, "
             f"not of {method}"
         )
     return replace(options, network=load_match_network(files.matcher_weights))

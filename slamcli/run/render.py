@@ -1,22 +1,21 @@
-"""`slam render`: a finished map painted again, otherwise, without locating a frame anew."""
+"""`slam render`: a finished map painted again with other options; no frame is located again."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
 from slamcli.core.config import ProductOptions
 from slamcli.core.errors import InputError
-from slamcli.core.records import PoseEstimate
+from slamcli.core.exit_codes import ExitCode
 from slamcli.io.files import output_folder, remove_folder
-from slamcli.io.frames import FrameFile, list_frames
-from slamcli.io.runs import read_run
+from slamcli.io.frames import list_frames
+from slamcli.io.map_file import MAP_NAME, load_map
+from slamcli.run.inputs import map_file_of, map_sources
 from slamcli.run.paint import outputs
-from slamcli.run.paint.paint import scenes_of
-from slamcli.run.session.executor import Progress
-from slamcli.run.session.interruption import interruptible
+from slamcli.run.paint.scene import scenes_of
+from slamcli.run.session.session import Session
 
 
 def render(
@@ -25,60 +24,53 @@ def render(
     output: Path,
     options: ProductOptions,
     *,
-    workers: int,
     overwrite: bool,
-    progress: Progress,
-    tell: Callable[[str], None],
-) -> list[str]:
-    """Paint the map of an earlier run into `output`; return what to tell the user.
+    session: Session,
+) -> tuple[list[str], ExitCode]:
+    """Paint the map of an earlier run into `output`; return the closing table and the exit code.
 
     Parameters
     ----------
     run_folder : Path
-        Output of `slam stitch`.
+        Output of `slam stitch`, or any file in it; only its map.slam is read.
     frames : Path or None
-        Where the frames are now; None: where they were.
+        Folder of the frames; None: where the map says that they are.
 
     Raises
     ------
-    InputError, OutputError
+    InputError, MapError, OutputError
     """
     started = time.monotonic()
     outputs.check_formats(options)
-    run = read_run(run_folder)
-    files = list_frames(run.sources if frames is None else [frames])
-    where = partial(file_of, files, remedy="give their folder with --frames")
-    scenes = scenes_of(run.calibration, run.estimates, where, options.turn_radians)
+    path = run_folder if run_folder.suffix == Path(MAP_NAME).suffix else _folder(run_folder)
+    floor_map = load_map(path, for_locating=False)
+    remedy = "give their folder with --frames"
+    files = list_frames(map_sources(floor_map, path, remedy) if frames is None else [frames])
+    estimates = [e for e in floor_map.estimates if e.map_from_robot is not None]
+    if not estimates:
+        raise InputError(f"{path} has no frame with a pose; there is nothing to paint")
+    where = partial(map_file_of, files, remedy=remedy)
+    scenes = scenes_of(floor_map.calibration, estimates, where, options.turn_radians)
     with (
-        interruptible() as interruption,
+        session.interruption.on_sigint(),
         output_folder(output, outputs.PRODUCTS, overwrite=overwrite) as staging,
     ):
-        area = outputs.write_maps(
-            scenes, options, {}, staging, staging / "tiles", workers, progress, tell, interruption
-        )
+        painted = outputs.write_maps(scenes, options, staging, staging / "tiles", session)
         remove_folder(staging / "tiles")
-    unit = run.calibration.unit
+    unit = floor_map.calibration.unit
     lines = [
-        f"{'frames':<12} {len(run.estimates)}",
-        f"{'area':<12} {area:.3f} {unit}²",
+        f"{'frames':<12} {len(estimates)}",
+        f"{'area':<12} {painted.area_square_metres:.3f} {unit}²",
         f"{'time':<12} {time.monotonic() - started:.1f} s",
         f"{'written to':<12} {output}",
     ]
-    if interruption.happened:
-        lines.insert(0, "interrupted: the map holds what had been painted")
-    return lines
+    if painted.unread:
+        lines.insert(0, painted.note)
+    if session.interruption.happened:
+        lines.insert(0, "interrupted: the map has only the tiles painted so far")
+        return lines, ExitCode.INTERRUPTED
+    return lines, ExitCode.INCOMPLETE if painted.unread else ExitCode.DONE
 
 
-def file_of(files: Sequence[FrameFile], estimate: PoseEstimate, *, remedy: str) -> FrameFile:
-    """Return a frame's file, by its place in the sequence, which its name confirms.
-
-    Raises
-    ------
-    InputError
-        When that is another frame; with what to do.
-    """
-    if estimate.index < len(files) and files[estimate.index].name == estimate.name:
-        return files[estimate.index]
-    raise InputError(
-        f"the frames are not those of the map: frame {estimate.index} was {estimate.name}; {remedy}"
-    )
+def _folder(run_folder: Path) -> Path:
+    return run_folder if run_folder.is_dir() else run_folder.parent

@@ -1,4 +1,4 @@
-"""`slam simulate`: a world with exact truth, as the files that the other commands read."""
+"""`slam simulate`: a drive through a simulated world, with exact truth, as files."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from slamcli.core.arrays import Float64Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.projection import project_floor
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.io import telemetry
@@ -20,7 +21,7 @@ from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import output_folder, write_image
 from slamcli.io.frames import read_image
 from slamcli.io.trajectories import read_path
-from slamcli.run.session.executor import Progress, ordered
+from slamcli.run.session.session import Session
 from slamcli.simulation import drive, floors, photograph
 from slamcli.simulation.config import SimulationOptions
 
@@ -33,7 +34,7 @@ PRODUCTS = (
     "gps.csv",
     "camera.yaml",
 )
-# The course's own way starts here, in its board's frame, so that a lap stays around its middle.
+# Start of a drive on the course, in its board's frame: a lap then stays around the middle.
 _COURSE_START = Pose2(-0.45, -0.45, 0.0)
 _SQUARE_GRAY = 232.0
 _SQUARE_YAW_RADIANS = math.radians(7.0)
@@ -48,56 +49,61 @@ def simulate(
     output: Path,
     options: SimulationOptions,
     *,
-    workers: int,
     overwrite: bool,
-    progress: Progress,
+    session: Session,
 ) -> list[str]:
-    """Write frames, calibration photo, truth and sensors into `output`; return what to tell.
+    """Write frames, calibration photo, truth and sensors into `output`; return the lines to print.
 
     Raises
     ------
     InputError, OutputError
     """
     calibration = photograph.make_camera(options.camera)
-    floor = _floor(options, calibration)
     poses = _poses(options)
-    boxes = drive.scatter_boxes(
-        poses,
-        options.disturbances.boxes,
-        options.frame_rate_hertz,
-        np.random.default_rng([options.seed, _BOXES]),
-    )
-    boxes += drive.send_walkers(
-        poses,
-        options.disturbances.walkers,
-        options.frame_rate_hertz,
-        np.random.default_rng([options.seed, _WALKERS]),
-    )
-    start = _COURSE_START if options.floor == "course" else Pose2()
-    world = photograph.World(
-        floor,
-        tuple(replace(b, world_from_box=start @ b.world_from_box) for b in boxes),
-        room=_room(options, start),
+    # The course's floor is laid around its board, not around the first frame's robot.
+    world_from_map = _COURSE_START if options.floor == "course" else Pose2()
+    photographer = photograph.Photographer(
+        _world(options, calibration, poses, world_from_map), calibration
     )
     square = _photograph_square(calibration, options)
     count = len(poses) - 1
     names = [f"{index:04d}.jpg" for index in range(count)]
     stamps = [index / options.frame_rate_hertz for index in range(count)]
     with output_folder(output, PRODUCTS, overwrite=overwrite) as staging:
-        photographer = photograph.Photographer(world, calibration)
-        ways = [(start @ poses[i], start @ poses[i + 1]) for i in range(count)]
-        jobs = list(zip(range(count), ways, stamps, strict=True))
+        moves = [(world_from_map @ a, world_from_map @ b) for a, b in pairwise(poses)]
+        jobs = list(zip(range(count), moves, stamps, strict=True))
         work = partial(_take, photographer, options)
-        for index, image in enumerate(ordered(work, jobs, workers)):
-            path = staging / "frames" / names[index]
-            write_image(path, image, jpeg_quality=options.jpeg_quality)
-            progress("taking frames", index + 1, count)
+        for name, image in zip(names, session.stage("taking frames", work, jobs), strict=True):
+            write_image(staging / "frames" / name, image, jpeg_quality=options.jpeg_quality)
         write_image(staging / "square.png", square)
         telemetry.write_truth(staging / "truth.csv", names, stamps, poses[:-1])
         _write_sensors(staging, options, stamps, poses[:-1])
         save_calibration(staging / "camera.yaml", calibration)
     square_metres = options.square_side_metres
     return [f"{count} frames, truth, sensors and a {square_metres:g} m square in {output}"]
+
+
+def _world(
+    options: SimulationOptions,
+    calibration: Calibration,
+    poses: Sequence[Pose2],
+    world_from_map: Pose2,
+) -> photograph.World:
+    """Return the floor with the boxes and walkers along the drive, and the room around it."""
+    disturbances, rate = options.disturbances, options.frame_rate_hertz
+    boxes = [
+        *drive.scatter_boxes(
+            poses, disturbances.boxes, rate, np.random.default_rng([options.seed, _BOXES])
+        ),
+        *drive.send_walkers(
+            poses, disturbances.walkers, rate, np.random.default_rng([options.seed, _WALKERS])
+        ),
+    ]
+    return photograph.World(
+        _floor(options, calibration),
+        tuple(replace(box, world_from_box=world_from_map @ box.world_from_box) for box in boxes),
+        room=_room(options, world_from_map),
+    )
 
 
 def _floor(options: SimulationOptions, calibration: Calibration) -> floors.Floor:
@@ -142,9 +148,9 @@ def _take(
     options: SimulationOptions,
     job: tuple[int, tuple[Pose2, Pose2], float],
 ) -> UInt8Array:
-    index, way, stamp = job
+    index, move, stamp = job
     generator = np.random.default_rng([options.seed, _FRAMES, index])
-    return photograph.take(photographer, way, stamp, options.disturbances, generator)
+    return photograph.take(photographer, move, stamp, options.disturbances, generator)
 
 
 def _photograph_square(calibration: Calibration, options: SimulationOptions) -> UInt8Array:
@@ -173,7 +179,7 @@ def _place_square(calibration: Calibration, side_metres: float) -> Float64Array:
     margin = _SQUARE_MARGIN_PIXELS
     for distance in np.linspace(0.0, 40 * side_metres, 400):
         corners = Pose2(float(distance), 0.0, _SQUARE_YAW_RADIANS).apply(outline)
-        pixels, seen = projection.project_floor(calibration, corners)
+        pixels, seen = project_floor(calibration, corners)
         low, high = pixels.min(axis=0), pixels.max(axis=0)
         if seen.all() and low.min() > margin and np.all(high < (width - margin, height - margin)):
             return corners

@@ -1,4 +1,4 @@
-"""What the robot's other senses recorded beside the frames, handed to the mapper."""
+"""Telemetry: the readings of odometry, compass and GPS, given to the mapper."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from slamcli.stages.telemetry import estimate_time_offset
 
 @dataclass(frozen=True, slots=True)
 class TelemetryFiles:
-    """Where the readings are.
+    """The files of the readings, each optional.
 
     Attributes
     ----------
     odometry, compass, gps : Path or None
     find_time_offset : bool
-        Find by how much their clock differs, from odometry and what the frames show.
+        Estimate the offset of their clock from odometry and the poses of the frames.
     """
 
     odometry: Path | None = None
@@ -31,10 +31,15 @@ class TelemetryFiles:
     gps: Path | None = None
     find_time_offset: bool = False
 
+    @property
+    def any(self) -> bool:
+        """Whether there is a file at all."""
+        return any(path is not None for path in (self.odometry, self.compass, self.gps))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Telemetry:
-    """All readings of a drive.
+    """All sensor readings of a drive.
 
     Attributes
     ----------
@@ -73,7 +78,7 @@ def read_telemetry(files: TelemetryFiles, inputs: Inputs) -> Telemetry:
 
 
 def feed(mapper: Mapper, telemetry: Telemetry) -> None:
-    """Give the mapper all readings. Raises InputError without pyproj for GPS."""
+    """Pass all readings to the mapper. Raises InputError without pyproj for GPS."""
     for odometry in telemetry.odometry:
         mapper.odometry(odometry)
     for compass in telemetry.compass:
@@ -83,12 +88,12 @@ def feed(mapper: Mapper, telemetry: Telemetry) -> None:
 
 
 def feed_shifted(mapper: Mapper, telemetry: Telemetry) -> str:
-    """Find the clocks' offset from the frames placed so far, then feed; return what to tell.
+    """Estimate the offset of the clocks from the poses so far, then feed; return it as text.
 
     Raises
     ------
     InputError
-        When the motion does not tell the offset.
+        When the motion does not determine the offset.
     """
     members = max(placed_fragments(mapper.estimates).values(), key=len, default=[])
     seen = [e for e in members if e.map_from_robot is not None and e.stamp is not None]
@@ -100,7 +105,7 @@ def feed_shifted(mapper: Mapper, telemetry: Telemetry) -> str:
     )
     if found is None:
         raise InputError(
-            "the motion is too even, or too short, to find by how much the clocks differ; "
+            "the motion is too even, or too short, to estimate the offset of the clocks; "
             "give --time-offset in seconds"
         )
     mapper.sensors.shift(found.seconds)

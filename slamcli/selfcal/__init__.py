@@ -1,13 +1,14 @@
-"""The camera refines itself: what overlapping frames both see tells how it looks at the floor.
+"""Self-calibration: camera, poses and rocking estimated from a drive's own overlapping frames.
 
-Frames are registered with the calibration as it is; from the spots that they share, camera, poses
-and each frame's own tilt and height are estimated together (`stages.adjustment`), and the frames
-are registered again with what came of it, until it stays the same. A camera is believed only when
-the frames determine it, when it differs from the calibration by more than its own uncertainty, and
-when it explains matches better that had no part in finding it.
+Rounds of registration and bundle adjustment over the plane alternate until the camera has
+converged: frames are registered with a calibration, camera, poses and each frame's own tilt and
+height are adjusted together to the spots that frames share (`stages.adjustment`), and the frames
+are registered again with the result. The new camera is accepted only when the frames determine it,
+when it differs from the calibration by more than its own uncertainty, and when it explains held-out
+matches better.
 """
 
 from slamcli.selfcal.bundle import RegisteredDrive
-from slamcli.selfcal.rounds import SelfCalibration, refine
+from slamcli.selfcal.rounds import SelfCalibration, refine_calibration
 
-__all__ = ["RegisteredDrive", "SelfCalibration", "refine"]
+__all__ = ["RegisteredDrive", "SelfCalibration", "refine_calibration"]

@@ -1,4 +1,4 @@
-"""A registration as its adjustment leaves it: camera, poses, rocking, in metres."""
+"""Applies an adjustment to a registered drive: camera, poses, rocking and links, in metres."""
 
 from __future__ import annotations
 
@@ -8,38 +8,39 @@ from dataclasses import replace
 
 import numpy as np
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration, Rocking
+from slamcli.core.camera.footprint import choose_max_range
+from slamcli.core.camera.mounting import compose_robot_from_image
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, PoseEstimate
 from slamcli.selfcal.bundle import RegisteredDrive
 from slamcli.stages import adjustment
 
-# A pose is no surer than this, m and rad.
+# Smallest covariance of a pose, m and rad: that of a map's first frame is zero.
 _MIN_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
 
 
-def with_views(
-    registration: RegisteredDrive, found: adjustment.Adjustment, scale: float
+def apply_adjustment(
+    drive: RegisteredDrive, found: adjustment.Adjustment, scale: float
 ) -> RegisteredDrive:
-    """Return the registration with adjusted camera and poses, its lengths multiplied by `scale`.
+    """Return the drive with adjusted camera and poses, all lengths multiplied by `scale`.
 
-    A frame without matches of its own moves with the nearest that has some.
+    A frame without matches of its own moves with the nearest adjusted one of its map.
     """
-    calibration = _scaled_camera(found, registration.calibration, scale)
-    before = {e.index: e for e in registration.estimates if e.map_from_robot is not None}
+    calibration = _scaled_camera(found, drive.calibration, scale)
+    before = {e.index: e for e in drive.estimates if e.map_from_robot is not None}
     estimates = []
-    for estimate in registration.estimates:
+    for estimate in drive.estimates:
         if estimate.map_from_robot is None:
             estimates.append(estimate)
             continue
         rocking, covariance = Rocking(), estimate.covariance
-        if estimate.index in found.views:
-            pose = found.views[estimate.index].map_from_robot
-            rocking = found.views[estimate.index].rocking
+        if estimate.index in found.poses:
+            pose = found.poses[estimate.index].map_from_robot
+            rocking = found.poses[estimate.index].rocking
             covariance = found.pose_covariances[estimate.index] + _MIN_POSE_COVARIANCE
         else:
-            pose = _carried(estimate, before, found)
+            pose = _moved_with_nearest(estimate, before, found)
         metres = np.array([scale, scale, 1.0])
         estimates.append(
             replace(
@@ -50,16 +51,22 @@ def with_views(
             )
         )
     by_index = {estimate.index: estimate for estimate in estimates}
-    floor_map = registration.floor_map
+    floor_map = drive.floor_map
     if floor_map is not None:
         kept = tuple(by_index[estimate.index] for estimate in floor_map.estimates)
         links = tuple(_scaled(link, scale) for link in floor_map.links)
         floor_map = replace(floor_map, calibration=calibration, estimates=kept, links=links)
-    return replace(registration, calibration=calibration, estimates=estimates, floor_map=floor_map)
+    return replace(
+        drive,
+        calibration=calibration,
+        estimates=estimates,
+        links=[_scaled(link, scale) for link in drive.links],
+        floor_map=floor_map,
+    )
 
 
 def _scaled(link: Link, scale: float) -> Link:
-    """Return a link in metres that are so many times the ones that it was measured in."""
+    """Return a link with its lengths multiplied by `scale`."""
     motion, metres = link.a_from_b, np.array([scale, scale, 1.0])
     return replace(
         link,
@@ -69,15 +76,15 @@ def _scaled(link: Link, scale: float) -> Link:
 
 
 def with_range(before: Calibration, calibration: Calibration) -> Calibration:
-    """Return the calibration with its far limit moved as its view of the floor has."""
+    """Return a calibration with the range of the one before, scaled as its view of the floor is."""
     chosen = [
-        projection.choose_max_range(c.camera_matrix, c.image_from_robot, c.image_size)
+        choose_max_range(c.camera_matrix, c.image_from_robot, c.image_size)
         for c in (before, calibration)
     ]
     return replace(calibration, max_range_metres=before.max_range_metres * chosen[1] / chosen[0])
 
 
-def told(before: Calibration, after: Calibration) -> str:
+def describe_change(before: Calibration, after: Calibration) -> str:
     """Return in words how the camera was changed."""
     focal = [c.camera_matrix[0, 0] for c in (before, after)]
     height = [1000.0 * c.height_metres for c in (before, after)]
@@ -95,18 +102,18 @@ def told(before: Calibration, after: Calibration) -> str:
     )
 
 
-def _carried(
+def _moved_with_nearest(
     estimate: PoseEstimate, before: Mapping[int, PoseEstimate], found: adjustment.Adjustment
 ) -> Pose2:
     """Return a frame's pose moved as the nearest adjusted frame of its map was."""
     assert estimate.map_from_robot is not None
-    same = [i for i in found.views if before[i].fragment == estimate.fragment]
+    same = [i for i in found.poses if before[i].fragment == estimate.fragment]
     if not same:
         return estimate.map_from_robot
     nearest = min(same, key=lambda index: (abs(index - estimate.index), index))
     known = before[nearest].map_from_robot
     assert known is not None
-    return found.views[nearest].map_from_robot @ known.inverse() @ estimate.map_from_robot
+    return found.poses[nearest].map_from_robot @ known.inverse() @ estimate.map_from_robot
 
 
 def _scaled_camera(found: adjustment.Adjustment, before: Calibration, scale: float) -> Calibration:
@@ -120,7 +127,7 @@ def _scaled_camera(found: adjustment.Adjustment, before: Calibration, scale: flo
         calibration,
         height_metres=height,
         max_range_metres=scale * calibration.max_range_metres,
-        robot_from_image=projection.compose_robot_from_image(
+        robot_from_image=compose_robot_from_image(
             calibration.camera_matrix, height, calibration.pitch_radians, calibration.roll_radians
         ),
         height_sigma_metres=scale * before.height_sigma_metres,

@@ -1,1 +1,1 @@
-"""A world to test in: floors without end, a camera that does not alias, a drive with its truth."""
+"""The simulator: unbounded floors, a camera without aliasing, drives with exact ground truth."""

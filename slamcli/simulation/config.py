@@ -1,4 +1,4 @@
-"""Options of a simulated drive; `slam simulate` mirrors them."""
+"""Options of a simulated drive, with their defaults; `slam simulate` uses the same fields."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class CameraOptions:
 
 @dataclass(frozen=True, slots=True)
 class DisturbanceOptions:
-    """What makes real pictures worse than ideal ones.
+    """Disturbances of the pictures: noise, blur, light, a rocking camera, obstacles.
 
     Attributes
     ----------
     noise_gray : float
         Standard deviation of each pixel.
     motion_blur : float
-        Share of a frame's step that the shutter stays open for.
+        Share of the time between two frames that the shutter is open for.
     flicker : float
         Largest change of exposure, as a share, either way.
     vignetting : float
@@ -51,9 +51,9 @@ class DisturbanceOptions:
     bounce_metres : float
         Standard deviation of the camera's height from frame to frame.
     boxes : int
-        Things that stand on the floor along the way; every third one moves.
+        Boxes that stand on the floor along the path; every third one moves.
     walkers : int
-        Pairs of legs that cross the view at some time.
+        Pairs of legs that walk through the view at some time.
     """
 
     noise_gray: float = 2.0
@@ -68,16 +68,16 @@ class DisturbanceOptions:
 
 @dataclass(frozen=True, slots=True)
 class SensorOptions:
-    """The robot's other senses, and how wrong they are.
+    """Errors of the simulated odometry, compass and GPS.
 
     Attributes
     ----------
     odometry_scale_error : float
-        Share of the distance by which odometry is long.
+        Share of the distance by which odometry is too long.
     odometry_heading_drift : float
-        Radians a metre, a constant.
+        Radians per metre, a constant.
     odometry_noise : float
-        Standard deviation a step, as a share of the step (and radians a radian).
+        Standard deviation per step, as a share of its length, and of its turn.
     compass_sigma_degrees, compass_declination_degrees : float
     gps_sigma_metres : float
     datum_degrees : (float, float)
@@ -95,7 +95,7 @@ class SensorOptions:
 
 @dataclass(frozen=True, slots=True)
 class SimulationOptions:
-    """A floor, a camera, a drive.
+    """Options of a simulated drive: floor, path, camera, disturbances, sensors.
 
     Attributes
     ----------
@@ -105,14 +105,14 @@ class SimulationOptions:
         Of a picture.
     wear : float
         0 to 1: how scuffed and dusty a floor is; at 0 all tiles are alike, and planks have only
-        five prints.
+        five patterns.
     room_metres : float
         Side of a square room about the first frame, whose walls the camera sees; 0 is no room.
     path : str
-        ``line``, ``loop``, ``lawnmower``, ``drift`` (a loop on which the robot turns as it likes),
+        ``line``, ``loop``, ``lawnmower``, ``drift`` (a loop with free heading),
         or the file of a CSV with columns x, y, heading.
     length_metres : float
-        Of the way.
+        Of the path.
     frames : int
     frame_rate_hertz : float
     lane_metres : float

@@ -1,4 +1,4 @@
-"""Where the robot goes, and what its odometry, compass and GPS say of it."""
+"""The simulated drive: true poses, odometry, compass and GPS readings, and moving obstacles."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from slamcli.simulation.photograph import Box
 _WGS84_AXIS_METRES = 6378137.0
 _WGS84_ECCENTRICITY_SQUARED = 6.69437999014e-3
 _TURN_SHARE_OF_LANE = 0.5
-# A drifting robot turns to and fro so far, so often on its way, beside one slow turn about itself.
+# A drifting robot swings its heading by this much, this often, beside one slow turn about itself.
 _SWING_RADIANS, _SWINGS = 0.5, 5
 _LEG_METRES = (0.11, 0.10, 0.7)
 _STRIDE_METRES = 0.35
@@ -27,14 +27,14 @@ _WALK_METRES_PER_SECOND = 0.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readings:
-    """The robot's other senses, a row a frame.
+    """Readings of the robot's other sensors, one per frame.
 
     Attributes
     ----------
     odometry : tuple of Pose2
         Integrated from the first frame.
     compass_radians : (N,) float64
-        HeadingReading, counter-clockwise from the map's x, declination and noise included.
+        Heading, counter-clockwise from the map's x, declination and noise included.
     gps_degrees : (N, 2) float64
         WGS84 latitude and longitude.
     """
@@ -65,7 +65,7 @@ def _loop(distances: Float64Array, options: SimulationOptions) -> list[Pose2]:
 
 
 def _drift(distances: Float64Array, options: SimulationOptions) -> list[Pose2]:
-    """Return poses once around a circle, the heading free of the way, as a drone's may be."""
+    """Return poses once around a circle, the heading free of the path, as a drone's may be."""
     poses = _loop(distances, options)
     shares = distances / options.length_metres
     headings = -math.tau * shares + _SWING_RADIANS * np.sin(math.tau * _SWINGS * shares)
@@ -105,23 +105,23 @@ def _lawnmower(distances: Float64Array, options: SimulationOptions) -> list[Pose
 def sense(
     poses: Sequence[Pose2], options: SensorOptions, generator: np.random.Generator
 ) -> Readings:
-    """Return what odometry, compass and GPS say along true poses ``map_from_robot``."""
+    """Return odometry, compass and GPS readings along true poses ``map_from_robot``."""
     odometry = [Pose2()]
     for before, after in pairwise(poses):
         step = before.inverse() @ after
         noise = 1.0 + options.odometry_noise * generator.standard_normal(2)
         scale = float(noise[0]) * (1.0 + options.odometry_scale_error)
         drift = options.odometry_heading_drift * step.translation_length
-        felt = Pose2(scale * step.x, scale * step.y, float(noise[1]) * step.theta + drift)
-        odometry.append(odometry[-1] @ felt)
+        measured = Pose2(scale * step.x, scale * step.y, float(noise[1]) * step.theta + drift)
+        odometry.append(odometry[-1] @ measured)
     count = len(poses)
     headings = np.array([pose.theta for pose in poses])
     compass = headings + math.radians(options.compass_declination_degrees)
     compass += math.radians(options.compass_sigma_degrees) * generator.standard_normal(count)
-    places = np.array([(pose.x, pose.y) for pose in poses])
-    places = places + options.gps_sigma_metres * generator.standard_normal((count, 2))
+    positions = np.array([(pose.x, pose.y) for pose in poses])
+    positions = positions + options.gps_sigma_metres * generator.standard_normal((count, 2))
     wrapped = (compass + math.pi) % math.tau - math.pi
-    return Readings(tuple(odometry), wrapped, geodetic_from_local(places, options.datum_degrees))
+    return Readings(tuple(odometry), wrapped, geodetic_from_local(positions, options.datum_degrees))
 
 
 def geodetic_from_local(
@@ -145,18 +145,18 @@ def geodetic_from_local(
 def scatter_boxes(
     poses: Sequence[Pose2], count: int, frame_rate_hertz: float, generator: np.random.Generator
 ) -> tuple[Box, ...]:
-    """Return cuboids beside and ahead of the way; every third one moves across it."""
+    """Return cuboids beside and ahead of the path; every third one moves across it."""
     boxes = []
     for number in range(count):
         index = int(generator.integers(len(poses)))
         side = float(generator.choice([-1.0, 1.0]) * generator.uniform(0.2, 0.5))
-        place = poses[index] @ Pose2(float(generator.uniform(0.4, 0.9)), side)
+        pose = poses[index] @ Pose2(float(generator.uniform(0.4, 0.9)), side)
         size = generator.uniform((0.04, 0.04, 0.04), (0.12, 0.12, 0.25))
         colour = generator.uniform(30, 220, 3)
         velocity = generator.uniform(-0.15, 0.15, 2) if number % 3 == 2 else np.zeros(2)
-        # A moving box passes its place when the robot does.
+        # A moving box is where it was put when the robot passes.
         passed = index / frame_rate_hertz
-        start = Pose2(place.x - passed * velocity[0], place.y - passed * velocity[1], place.theta)
+        start = Pose2(pose.x - passed * velocity[0], pose.y - passed * velocity[1], pose.theta)
         boxes.append(
             Box(
                 start,
@@ -175,11 +175,11 @@ def send_walkers(
     legs = []
     for _ in range(count):
         index = int(generator.integers(len(poses)))
-        place = poses[index] @ Pose2(float(generator.uniform(0.45, 0.8)))
-        bearing = place.theta + float(generator.choice([-1.0, 1.0]) * generator.uniform(1.1, 2.0))
+        pose = poses[index] @ Pose2(float(generator.uniform(0.45, 0.8)))
+        bearing = pose.theta + float(generator.choice([-1.0, 1.0]) * generator.uniform(1.1, 2.0))
         velocity = _WALK_METRES_PER_SECOND * np.array([math.cos(bearing), math.sin(bearing)])
         passed = index / frame_rate_hertz
-        start = Pose2(place.x - passed * velocity[0], place.y - passed * velocity[1], bearing)
+        start = Pose2(pose.x - passed * velocity[0], pose.y - passed * velocity[1], bearing)
         colour = tuple(float(value) for value in generator.uniform(20, 120, 3))
         for offset in (Pose2(), Pose2(-_STRIDE_METRES, 0.16)):
             walking = (float(velocity[0]), float(velocity[1]))

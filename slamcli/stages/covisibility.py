@@ -10,8 +10,8 @@ from scipy.sparse import csgraph, csr_array
 from scipy.spatial import ConvexHull, KDTree
 
 from slamcli.core.arrays import BoolArray, Float64Array, Int64Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import footprint_hull
 from slamcli.core.geometry import compose_poses, relative_poses
 
 # Overlaps differ from those of the views by less than 0.06.
@@ -30,7 +30,7 @@ class Footprint:
     """
 
     def __init__(self, calibration: Calibration) -> None:
-        hull = ConvexHull(projection.footprint_hull(calibration))
+        hull = ConvexHull(footprint_hull(calibration))
         # Inside is where normal . point + offset <= 0 for every edge.
         self._normals, self._offsets = hull.equations[:, :2], hull.equations[:, 2]
         corners = hull.points[hull.vertices]

@@ -1,4 +1,4 @@
-"""How far a trajectory is from the truth, and whether its sigmas admit as much.
+"""Trajectory evaluation: ATE, RPE, and the consistency of the sigmas (NEES).
 
 ATE and RPE as in Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012,
 in the plane: the evo package gives the same numbers.
@@ -13,7 +13,8 @@ from scipy.special import chdtri
 
 from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.core.errors import InputError
-from slamcli.core.geometry import Pose2, compose_poses, relative_poses
+from slamcli.core.geometry import compose_poses, relative_poses
+from slamcli.core.robust import fit_rigid_2d
 from slamcli.core.trajectory import Accuracy, Consistency, Evaluation, Statistics, Trajectory
 
 _BOUND_95 = float(chdtri(3, 0.05))
@@ -28,7 +29,7 @@ def evaluate(
     ----------
     estimate, truth : Trajectory
     tolerance_seconds : float
-        Most that two stamps may differ by to be of the same moment.
+        Largest difference of two stamps of the same moment.
     delta : int
         Over how many poses the relative motion is compared, at least 1.
 
@@ -69,8 +70,8 @@ def match_poses(
             )
         return "stamps", pairs[:, 0], pairs[:, 1]
     if estimate.names is not None and truth.names is not None:
-        places = {name: index for index, name in enumerate(truth.names)}
-        common = [(i, places[name]) for i, name in enumerate(estimate.names) if name in places]
+        index_of = {name: index for index, name in enumerate(truth.names)}
+        common = [(i, index_of[name]) for i, name in enumerate(estimate.names) if name in index_of]
         if not common:
             raise InputError(
                 f"no frame name in common: the poses begin with {estimate.names[0]}, "
@@ -87,19 +88,6 @@ def match_poses(
     return "order", rows, rows
 
 
-def align(points: Float64Array, true_points: Float64Array) -> Pose2:
-    """Return ``truth_from_map``, the rigid motion that brings (N, 2) points nearest to others.
-
-    Least squares without scale (Umeyama, PAMI 1991, eqs. 40-41; in the plane the rotation is the
-    angle of one complex sum).
-    """
-    centre, true_centre = points.mean(axis=0), true_points.mean(axis=0)
-    a, b = points - centre, true_points - true_centre
-    turn = math.atan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
-    moved = Pose2(0.0, 0.0, turn).apply(centre)
-    return Pose2(float(true_centre[0] - moved[0]), float(true_centre[1] - moved[1]), turn)
-
-
 class _Errors:
     """The errors of one fragment, each in an array; the absolute ones after alignment."""
 
@@ -113,7 +101,7 @@ class _Errors:
     ) -> None:
         self.fragment = fragment
         self.count = len(poses)
-        self.truth_from_map = align(poses[:, :2], true_poses[:, :2])
+        self.truth_from_map = fit_rigid_2d(true_poses[:, :2], poses[:, :2])
         pose = self.truth_from_map
         aligned = compose_poses((pose.x, pose.y, pose.theta), poses)
         self.places = np.linalg.norm(aligned[:, :2] - true_poses[:, :2], axis=1)
@@ -169,8 +157,8 @@ def _normalised_errors(
 ) -> Float64Array:
     """Return the squared error over variance, summed over x, y, heading, of each pose but one.
 
-    The map is where its surest pose is, so that pose is laid on its truth and left out. A best
-    alignment would hide a part of the error.
+    The map lies where its most certain pose is, so that pose is laid on its truth and left out. A
+    best alignment would hide a part of the error.
     """
     known = np.flatnonzero(np.isfinite(sigmas).all(axis=1) & (sigmas > 0.0).all(axis=1))
     if len(known) < 2:

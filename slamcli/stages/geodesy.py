@@ -1,4 +1,7 @@
-"""Places on Earth as metres east and north of a datum. pyproj is imported here and nowhere else."""
+"""Geodesy: latitude and longitude as metres east and north of a datum, by pyproj.
+
+pyproj is imported here and nowhere else.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ def projection(datum_degrees: tuple[float, float]) -> str:
 
 
 class LocalPlane:
-    """The plane at a datum.
+    """The transverse Mercator plane at a datum.
 
     Parameters
     ----------
@@ -43,7 +46,7 @@ class LocalPlane:
         self._plane_from_earth = Transformer.from_crs("EPSG:4326", plane, always_xy=True)
 
     def __reduce__(self) -> tuple[object, ...]:
-        # A run's state holds the datum; pyproj's own objects are made again.
+        # A run's state contains the datum; pyproj's own objects are made again.
         return LocalPlane, (self._datum_degrees,)
 
     def east_north(self, latitude_degrees: float, longitude_degrees: float) -> tuple[float, float]:

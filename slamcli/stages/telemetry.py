@@ -1,4 +1,4 @@
-"""Odometry at any moment, how far it is to be trusted, and by how much two clocks differ."""
+"""Odometry interpolation, its covariance, and the time offset between two clocks."""
 
 from __future__ import annotations
 
@@ -16,15 +16,21 @@ from slamcli.core.telemetry import OdometryReading, TelemetryOptions
 
 # Stamps are written with six decimals, so that one moment may differ by this in two files.
 SAME_MOMENT_SECONDS = 2e-6
+# Fewer motions do not determine an offset [guarded by tests/stages/test_telemetry.py].
 _MIN_MOTIONS = 20
+# A peak of less correlation is noise; one of a larger sigma is as wide as what was searched
+# [guarded by tests/stages/test_telemetry.py].
+_MIN_CORRELATION = 0.5
+_MAX_SIGMA_STEPS = 2.0
 _SMALL_ANGLE_RADIANS = 1e-6
 _MIN_ENERGY = 1e-12
-# Of the median absolute residual: 6 standard deviations of normal noise.
+# Of the median absolute residual: 6 standard deviations of normal noise
+# [guarded by tests/stages/test_telemetry.py].
 _OUTLIER_DEVIATIONS = 9.0
 
 
 class OdometryTrack:
-    """Odometry's readings in the frames' clock, to be asked for any moment between them.
+    """Odometry readings in the frames' clock, interpolated to any moment between them.
 
     Parameters
     ----------
@@ -42,17 +48,17 @@ class OdometryTrack:
     def add(self, reading: OdometryReading) -> None:
         """Take one reading; of two for one moment the first counts."""
         stamp = reading.stamp + self._options.time_offset_seconds
-        place = bisect_left(self._stamps, stamp)
-        if place < len(self._stamps) and self._stamps[place] == stamp:
+        index = bisect_left(self._stamps, stamp)
+        if index < len(self._stamps) and self._stamps[index] == stamp:
             return
-        self._stamps.insert(place, stamp)
-        self._poses.insert(place, reading.pose)
+        self._stamps.insert(index, stamp)
+        self._poses.insert(index, reading.pose)
 
     def at(self, stamp: float) -> Pose2 | None:
-        """Return ``odom_from_robot`` at a moment; None where odometry does not tell.
+        """Return ``odom_from_robot`` at a moment; None where odometry does not cover it.
 
-        Between two readings the robot is taken to have moved along an arc at constant speed. A
-        robot asks before the next reading has come; for as long as the latest two were apart, it
+        Between two readings the robot is taken to have moved along an arc at constant speed. On a
+        robot a frame comes before the next reading; for as long as the latest two were apart, it
         is taken to have gone on as it did between them. Nothing is assumed beyond that.
         """
         after = bisect_left(self._stamps, stamp - SAME_MOMENT_SECONDS)
@@ -68,7 +74,7 @@ class OdometryTrack:
         return interpolate(self._poses[first], self._poses[first + 1], (stamp - begin) / apart)
 
     def motion(self, begin: float | None, end: float | None) -> Pose2 | None:
-        """Return ``begin_from_end``; None where odometry does not tell, or a moment is None."""
+        """Return ``begin_from_end``; None where odometry does not cover it, or a moment is None."""
         if begin is None or end is None:
             return None
         first, last = self.at(begin), self.at(end)
@@ -112,7 +118,7 @@ def _arc(turn: Float64Array) -> tuple[Float64Array, Float64Array]:
 
 
 def motion_covariance(motion: Pose2, options: TelemetryOptions) -> Float64Array:
-    """Return the (3, 3) covariance of a motion that odometry tells, in its end's own axes."""
+    """Return the (3, 3) covariance of a motion by odometry, in its end's own axes."""
     distance, turn = motion.translation_length, abs(motion.theta)
     memory = options.odometry_memory_metres
     along = options.odometry_distance_share**2 * distance * memory + options.odometry_metres**2
@@ -123,7 +129,7 @@ def motion_covariance(motion: Pose2, options: TelemetryOptions) -> Float64Array:
 
 @dataclass(frozen=True, slots=True)
 class TimeOffset:
-    """By how much the telemetry's clock differs from the frames'.
+    """The offset between the telemetry's clock and the frames'.
 
     Attributes
     ----------
@@ -163,7 +169,7 @@ def estimate_time_offset(
 
     Returns
     -------
-    TimeOffset, or None when the motion is too even, or too short, to tell.
+    TimeOffset, or None when the motion is too even, or too short, to determine it.
     """
     stamps, poses = (np.asarray(array, dtype=np.float64) for array in odometry)
     moments, seen = (np.asarray(array, dtype=np.float64) for array in visual)
@@ -176,8 +182,8 @@ def estimate_time_offset(
         both = inside[:-1] & inside[1:]
         if both.sum() < _MIN_MOTIONS:
             return -math.inf, 0.0
-        felt = _rates(moments, _sample(stamps, poses, moments - offset))[both]
-        return _likelihood(felt, rates[both])
+        measured = _rates(moments, _sample(stamps, poses, moments - offset))[both]
+        return _likelihood(measured, rates[both])
 
     grid = np.arange(-largest_seconds, largest_seconds + step_seconds / 2, step_seconds)
     return _peak(likelihood, grid)
@@ -199,14 +205,13 @@ def _peak(
     offset = float(grid[best] + (after - before) / (2.0 * bend * step))
     sigma = 1.0 / math.sqrt(bend)
     correlation = likelihood(offset)[1]
-    # Below this the peak is noise's, or as wide as what was searched.
-    if correlation < 0.5 or sigma > 2.0 * step:
+    if correlation < _MIN_CORRELATION or sigma > _MAX_SIGMA_STEPS * step:
         return None
     return TimeOffset(offset, sigma, correlation)
 
 
 def _sample(stamps: Float64Array, poses: Float64Array, moments: Float64Array) -> Float64Array:
-    """Return the (M, 3) poses at (M,) moments, those outside held at the ends."""
+    """Return the (M, 3) poses at (M,) moments; outside the readings, those of the ends."""
     after = np.clip(np.searchsorted(stamps, moments), 1, len(stamps) - 1)
     span = np.maximum(stamps[after] - stamps[after - 1], SAME_MOMENT_SECONDS)
     share = np.clip((moments - stamps[after - 1]) / span, 0.0, 1.0)
@@ -220,10 +225,10 @@ def _rates(moments: Float64Array, poses: Float64Array) -> Float64Array:
     return motions[:, [0, 2]] / spans[:, None]
 
 
-def _likelihood(felt: Float64Array, seen: Float64Array) -> tuple[float, float]:
+def _likelihood(odometry: Float64Array, visual: Float64Array) -> tuple[float, float]:
     """Return the log-likelihood up to a constant, and the better correlation."""
     total, best = 0.0, 0.0
-    for x, y in zip(felt.T, seen.T, strict=True):
+    for x, y in zip(odometry.T, visual.T, strict=True):
         kept = _fitting(x, y)
         a, b = x[kept] - x[kept].mean(), y[kept] - y[kept].mean()
         energy = math.sqrt(float(a @ a) * float(b @ b))
@@ -236,7 +241,7 @@ def _likelihood(felt: Float64Array, seen: Float64Array) -> tuple[float, float]:
 
 
 def _fitting(x: Float64Array, y: Float64Array) -> BoolArray:
-    """Return which pairs lie near a line: a wheel that slips once would outweigh all the rest."""
+    """Return which pairs lie near a line: one slip of a wheel would outweigh all the rest."""
     away = np.abs(x - np.median(x))
     kept: BoolArray = away <= float(np.percentile(away, 98.0))
     spread = float(np.var(x[kept]))

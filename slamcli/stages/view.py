@@ -1,4 +1,4 @@
-"""From the camera's picture to the bird's-eye view of the floor, in one resample."""
+"""Inverse perspective mapping: the camera's picture to a bird's-eye view, in one resample."""
 
 from __future__ import annotations
 
@@ -11,24 +11,29 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from slamcli.core.arrays import BoolArray, Float32Array, Int16Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import default_metres_per_pixel, footprint, footprint_hull
+from slamcli.core.camera.projection import SamplingMap, sampling_map
+from slamcli.core.camera.resolution import resolution_image
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Frame, View
+from slamcli.core.robust import NORMAL_MEDIAN
 
-# A view of about a megapixel carries enough points, and warps and detects in milliseconds. Of a
+# A view of about a megapixel has enough points, and warps and detects in milliseconds. Of a
 # picture that has many pixels to each of the view's, half as many serve as well: each is the mean
-# of several, and what noise they have left is less. Motions err by hundredths of a millimetre more.
+# of several, with less noise. Motions err by hundredths of a millimetre more
+# [guarded by benchmarks/accuracy.py and benchmarks/stages.py].
 _REGISTRATION_PIXELS, _FEWER_PIXELS = 1.0e6, 0.5e6
 _MANY_TO_ONE = 1.5
 _MAX_LEVEL = 4
-# So much farther than features are of use a line or an edge still tells something; a view that
-# gains less floor than this by it tells no more.
+# Up to this many times the range of features a line or an edge is still of use; a view that gains
+# less floor than this by it is not worth its time [guarded by benchmarks/robustness.py].
 _FAR_TIMES = 2.2
 _FAR_COARSER = 2.0
 _MIN_FAR_GAIN = 1.3
-# A picture with less contrast than its own noise shows nothing that could be matched.
+# A picture with less contrast than its own noise shows nothing that could be matched
+# [guarded by tests/stages/test_view.py].
 _MIN_DEVIATION_GRAY = 1.0
 _SATURATED_GRAY = 250
 _MAX_SATURATED_SHARE = 0.98
@@ -41,7 +46,7 @@ _DARK_GRAY = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Resampler:
-    """Everything about one raster over one camera that does not depend on the picture.
+    """The precomputed mapping from a camera's pictures to one raster on the floor.
 
     Attributes
     ----------
@@ -59,7 +64,19 @@ class Resampler:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
-    """The part of a raster that is read from one pyramid level: where, from which pixels."""
+    """The part of a raster that is read from one level of the picture's pyramid.
+
+    Attributes
+    ----------
+    level : int
+        0 is the picture itself.
+    rows, columns : slice
+        Of the raster: the bounding box of the part.
+    inside : (h, w) uint8
+        1 where the box belongs to the part.
+    columns_read, rows_read : (h, w) float32
+        Pixels of the level.
+    """
 
     level: int
     rows: slice
@@ -70,9 +87,9 @@ class Band:
 
 
 def registration_metres_per_pixel(calibration: Calibration) -> float:
-    """Return the resolution of the views that are matched: the default, coarser if that is vast."""
-    finest = projection.default_metres_per_pixel(calibration)
-    grid = projection.footprint(calibration, finest)
+    """Return the resolution of the views that are registered: the default, or coarser if vast."""
+    finest = default_metres_per_pixel(calibration)
+    grid = footprint(calibration, finest)
     many = math.prod(calibration.image_size) >= _MANY_TO_ONE * _FEWER_PIXELS
     most = _FEWER_PIXELS if many else _REGISTRATION_PIXELS
     shrink = math.sqrt(grid.width * grid.height / most)
@@ -93,9 +110,9 @@ def make_resampler(
     Parameters
     ----------
     pixels_per_metre : (H, W) float32
-        From `projection.resolution_image`, or weights of the same zeros.
+        From `resolution_image`, or weights of the same zeros.
     """
-    mapping = projection.sampling_map(calibration, pixels_per_metre, grid, robot_from_grid)
+    mapping = sampling_map(calibration, pixels_per_metre, grid, robot_from_grid)
     seen = mapping.pixels_per_metre > 0
     coarser = float(mapping.pixels_per_metre.max(initial=0.0)) * grid.metres_per_pixel
     deepest = min(_MAX_LEVEL, int(math.log2(max(coarser, 1.0))))
@@ -117,7 +134,7 @@ def make_resampler(
 
 
 def _maps(
-    mapping: projection.SamplingMap,
+    mapping: SamplingMap,
     part: tuple[slice, slice],
     inside: BoolArray,
     image_size: tuple[int, int],
@@ -138,8 +155,8 @@ def _maps(
 
 def make_view_resampler(calibration: Calibration, metres_per_pixel: float) -> Resampler:
     """Prepare the camera's own bird's-eye view, in the robot frame."""
-    grid = projection.footprint(calibration, metres_per_pixel)
-    return make_resampler(calibration, projection.resolution_image(calibration), grid, Pose2())
+    grid = footprint(calibration, metres_per_pixel)
+    return make_resampler(calibration, resolution_image(calibration), grid, Pose2())
 
 
 def make_far_resampler(calibration: Calibration, metres_per_pixel: float) -> Resampler | None:
@@ -148,8 +165,8 @@ def make_far_resampler(calibration: Calibration, metres_per_pixel: float) -> Res
     None where the camera sees little more floor there.
     """
     far = replace(calibration, max_range_metres=_FAR_TIMES * calibration.max_range_metres)
-    near_area = ConvexHull(projection.footprint_hull(calibration)).volume
-    if ConvexHull(projection.footprint_hull(far)).volume < _MIN_FAR_GAIN * near_area:
+    near_area = ConvexHull(footprint_hull(calibration)).volume
+    if ConvexHull(footprint_hull(far)).volume < _MIN_FAR_GAIN * near_area:
         return None
     return make_view_resampler(far, _FAR_COARSER * metres_per_pixel)
 
@@ -174,7 +191,7 @@ def make_view(frame: Frame, resampler: Resampler, *, gray: bool) -> View:
 
 
 def make_compared_views(frame: Frame, resamplers: Iterable[Resampler]) -> list[View]:
-    """Return gray views of one frame that are to be compared by their pixels: with its noise."""
+    """Return gray views of one frame with its noise, for comparison by their pixels."""
     image = to_gray(frame.image)
     noise = noise_gray(image)
     return [View(r.grid, resample(image, r), _seen(frame, r), noise) for r in resamplers]
@@ -201,8 +218,8 @@ def noise_gray(image: UInt8Array) -> float:
     left = blocks[:, :, :-2] - 2 * blocks[:, :, 1:-1] + blocks[:, :, 2:]
     left = left[:, :-2] - 2 * left[:, 1:-1] + left[:, 2:]
     sizes = np.median(np.abs(left).reshape(len(left), -1), axis=1)
-    # The kernel's weights squared sum to 36; the median size of a normal deviate is 0.6745.
-    return float(np.quantile(sizes, _SMOOTHEST_SHARE)) / (6.0 * 0.6745)
+    # The kernel's weights squared sum to 36.
+    return float(np.quantile(sizes, _SMOOTHEST_SHARE)) / (6.0 * NORMAL_MEDIAN)
 
 
 def _blocks(image: UInt8Array) -> Int16Array:
@@ -229,7 +246,7 @@ def to_colour(image: UInt8Array) -> UInt8Array:
 
 
 def check_frame(frame: Frame, calibration: Calibration) -> None:
-    """Raise FrameError for a frame that this calibration's camera cannot have taken."""
+    """Raise FrameError for a frame that the calibration's camera cannot have taken."""
     image = frame.image
     if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
         raise FrameError("not an array of 8-bit pixels; convert it to uint8 BGR or gray")
@@ -244,7 +261,7 @@ def check_frame(frame: Frame, calibration: Calibration) -> None:
 
 
 def check_view(view: View) -> None:
-    """Raise FrameError when the floor part of a (gray) view shows nothing."""
+    """Raise FrameError when the floor part of a gray view shows nothing that could be matched."""
     count = cv2.countNonZero(view.mask)
     if count == 0:
         raise FrameError("no floor in the frame: all of it is masked or out of range")

@@ -1,8 +1,9 @@
-"""No option of the command line is without effect: each one reaches what does the work."""
+"""Every option of the command line reaches the work, and its default is the dataclass's own."""
 
 from __future__ import annotations
 
 import importlib
+from dataclasses import MISSING, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,16 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from slamcli.cli.main import main
+from slamcli.cli.main import COMMANDS, SlamGroup, main
+from slamcli.cli.options.fields import destination, filled, option
+from slamcli.core.config import MapperOptions, ProductOptions
 
-# What the commands are called with besides the option; files need only be there.
+LOADED = {
+    name: command
+    for name in COMMANDS
+    if (command := main.get_command(click.Context(main), name)) is not None
+}
+# What the commands are called with besides the option; files need only exist.
 ARGUMENTS = {
     "stitch": ["frames"],
     "locate": ["frames", "frames"],
@@ -24,82 +32,232 @@ ARGUMENTS = {
     "calibrate": ["frames/a.png"],
     "simulate": ["out"],
 }
-# Those that choose what is done, or how it is told, and not what is asked of it.
-APART = {"help", "dry_run", "refine", "as_json"}
-# These are of `slam calibrate --refine` alone.
-REFINING = {("calibrate", "calibration"), ("calibrate", "workers")}
+# These are of the refinement of a calibration alone, which --refine with a folder calls.
+REFINING = {("calibrate", "--calibration"), ("calibrate", "--workers")}
+WORK = [
+    *[(f"slamcli.run.{name}", name) for name in COMMANDS],
+    ("slamcli.run.stitch.dry_run", "forecast"),
+    ("slamcli.run.calibrate.self_calibration", "calibrate_by_frames"),
+]
 TEXTS = {
-    "formats": "geotiff",
-    "layers": "views",
-    "export": "tum",
-    "size": "320x240",
-    "crop": "0,0,1,1",
-    "datum": "1,2",
-    "corners": "1,2 30,2 30,40 1,40",
-    "memory": "2G",
-    "time_offset": "0.5",
-    "lever_arm": "1,2",
-    "scheduler": "tcp://here:1",
-    "chessboard": "8x6",
-    "network_size": "640x480",
-    "first_level": "1",
+    "--format": "geotiff",
+    "--layers": "views",
+    "--export": "tum",
+    "--size": "320x240",
+    "--crop": "0,0,1,1",
+    "--datum": "1,2",
+    "--corners": "1,2 30,2 30,40 1,40",
+    "--memory": "2G",
+    "--time-offset": "0.5",
+    "--lever-arm": "1,2",
+    "--scheduler": "tcp://here:1",
+    "--chessboard": "8x6",
+    "--network-size": "640x480",
+    "--first-level": "1",
+    "--rotate": "30",
 }
 
 
-def other_value(option: click.Option) -> list[str]:
-    """Return the option as given with a value that is not its default."""
-    name, kind = option.opts[0], option.type
-    if option.is_flag or option.secondary_opts:
-        return [option.secondary_opts[0] if option.default is True else name]
-    if option.name in TEXTS:
-        return [name, TEXTS[option.name]]
-    if isinstance(kind, click.Choice):
-        return [name, next(c for c in kind.choices if c != option.default)]
-    if isinstance(kind, click.IntRange | click.FloatRange):
-        low = 1 if kind.min is None else kind.min
-        high = low + 8 if kind.max is None else kind.max
-        value: float = next(
-            v for share in (0.5, 0.25, 0.75) if (v := low + share * (high - low)) != option.default
-        )
-        return [name, str(int(value) if isinstance(kind, click.IntRange) else value)]
-    if kind in (click.FLOAT, click.INT):
-        return [name, "3"]
-    return [name, "frames/c.png"]
+class Report(list[str]):
+    """What any function of `slamcli.run` may return."""
+
+    def __init__(self) -> None:
+        super().__init__(["a line"])
+        self.lines, self.json, self.exit_code = ["a line"], "{}", 0
 
 
-def cases() -> list[tuple[str, str]]:
-    return [
-        (command, parameter.name)
-        for command, told in main.commands.items()
-        for parameter in told.params
-        if isinstance(parameter, click.Option)
-        and parameter.name not in APART
-        and (command, parameter.name) not in REFINING
-    ]
+@pytest.fixture
+def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, list[Any]]]:
+    """The calls of functions of `slamcli.run`, which do nothing; functions given are left out."""
+    found: list[tuple[str, list[Any]]] = []
 
+    def spy(name: str) -> Any:
+        def work(*given: Any, **named: Any) -> Report:
+            values = [*given, *(named[key] for key in sorted(named))]
+            found.append((name, [value for value in values if not callable(value)]))
+            return Report()
 
-@pytest.mark.parametrize(("command", "name"), cases())
-def test_every_option_tells_the_work_something(
-    command: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class ReachedError(Exception):
-        pass
+        return work
 
-    calls: list[str] = []
-
-    def work(*given: Any, **told: Any) -> None:
-        shown = {key: value for key, value in told.items() if not callable(value)}
-        calls.append(repr(([one for one in given if not callable(one)], shown)))
-        raise ReachedError
-
-    monkeypatch.setattr(importlib.import_module(f"slamcli.run.{command}"), command, work)
+    for module, name in WORK:
+        monkeypatch.setattr(importlib.import_module(module), name, spy(name))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "frames").mkdir()
     for file in "abc":
         (tmp_path / "frames" / f"{file}.png").write_bytes(b"")
-    option = next(p for p in main.commands[command].params if p.name == name)
-    assert isinstance(option, click.Option)
-    for more in ([], other_value(option)):
-        result = CliRunner().invoke(main, [command, *ARGUMENTS[command], *more])
-        assert isinstance(result.exception, ReachedError), (more, result.output, result.exception)
-    assert calls[0] != calls[1], f"slam {command} {option.opts[0]} changes nothing"
+    return found
+
+
+def flag_of(parameter: click.Option) -> str:
+    return max(parameter.opts, key=len)
+
+
+def other_value(parameter: click.Option) -> list[str]:
+    """Return the option as given with a value that is not its default."""
+    flag, kind = flag_of(parameter), parameter.type
+    if parameter.is_flag or parameter.secondary_opts:
+        return [parameter.secondary_opts[0] if parameter.default is True else flag]
+    if flag in TEXTS:
+        return [flag, TEXTS[flag]]
+    if isinstance(kind, click.Choice):
+        return [flag, next(c for c in kind.choices if c != parameter.default)]
+    if isinstance(kind, click.IntRange | click.FloatRange):
+        low = 1 if kind.min is None else kind.min
+        high = low + 8 if kind.max is None else kind.max
+        value: float = next(
+            v
+            for share in (0.5, 0.25, 0.75)
+            if (v := low + share * (high - low)) != parameter.default
+        )
+        return [flag, str(int(value) if isinstance(kind, click.IntRange) else value)]
+    if kind in (click.FLOAT, click.INT):
+        return [flag, "3"]
+    return [flag, "frames/c.png"]
+
+
+OPTIONS = [
+    (name, parameter)
+    for name, command in LOADED.items()
+    for parameter in command.params
+    if isinstance(parameter, click.Option) and parameter.name != "help"
+]
+
+
+def test_all_commands_are_loaded() -> None:
+    assert isinstance(main, SlamGroup)
+    assert list(LOADED) == list(COMMANDS)
+    assert {name for name, _ in OPTIONS} == set(COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("command", "parameter"),
+    [pytest.param(name, one, id=f"{name} {flag_of(one)}") for name, one in OPTIONS],
+)
+def test_every_option_changes_the_call_or_what_is_printed(
+    command: str, parameter: click.Option, calls: list[tuple[str, list[Any]]]
+) -> None:
+    given = ARGUMENTS[command]
+    if (command, flag_of(parameter)) in REFINING:
+        given = ["frames", "--refine"]
+    found = []
+    for more in ([], other_value(parameter)):
+        result = CliRunner().invoke(main, [command, *given, *more])
+        assert result.exit_code == 0, (more, result.output, result.exception)
+        found.append((repr(calls.pop()), result.output))
+        assert not calls
+    assert found[0] != found[1], f"slam {command} {flag_of(parameter)} changes nothing"
+
+
+def changed(options: Any) -> list[str]:
+    """Return the fields of a dataclass, and of those within it, that are not their defaults."""
+    found = []
+    for field in fields(options):
+        value = getattr(options, field.name)
+        default = field.default
+        if field.default_factory is not MISSING:
+            default = field.default_factory()
+        if default is MISSING and is_dataclass(value):
+            found += changed(value)
+        elif default is not MISSING and value != default:
+            found.append(field.name)
+    return found
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_without_options_all_dataclasses_have_their_own_defaults(
+    command: str, calls: list[tuple[str, list[Any]]]
+) -> None:
+    result = CliRunner().invoke(main, [command, *ARGUMENTS[command]])
+    assert result.exit_code == 0, (result.output, result.exception)
+    for value in calls[0][1]:
+        if is_dataclass(value):
+            assert set(changed(value)) <= {"workers"}, value
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_is_complete(command: str) -> None:
+    loaded = LOADED[command]
+    first = loaded.get_short_help_str(limit=200)
+    assert COMMANDS[command] == first
+    assert len(first) <= 65, "the list of commands would break the line, of 80 columns"
+    for parameter in loaded.params:
+        assert not isinstance(parameter, click.Option) or parameter.help, parameter.name
+
+
+def test_the_stricter_ratio_in_the_help_is_that_of_the_work() -> None:
+    plain = importlib.import_module("slamcli.run.match").PLAIN_RATIO
+    parameter = next(p for p in LOADED["match"].params if "--ratio" in p.opts)
+    assert isinstance(parameter, click.Option)
+    assert f"else {plain}." in (parameter.help or "")
+
+
+def test_filled_fills_nested_dataclasses_and_leaves_the_rest() -> None:
+    start = MapperOptions(max_step_metres=2.0)
+    flags = {
+        destination(start, "min_score"): 0.5,
+        destination("FeatureOptions", "count"): 7,
+        destination("Other", "loops"): False,
+    }
+    expected = replace(start, min_score=0.5, features=replace(start.features, count=7))
+    assert filled(start, flags) == expected
+    with pytest.raises(AttributeError):
+        option(start, "max_stride", "--max-step")
+
+
+def value_of(option_name: str, text: str) -> Any:
+    """Return what `slam stitch`, `calibrate` or `simulate` makes of an option's text."""
+    for name in ("stitch", "calibrate", "simulate"):
+        for parameter in LOADED[name].params:
+            if option_name in parameter.opts:
+                return parameter.type.convert(text, parameter, None)
+    raise KeyError(option_name)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "value"),
+    [
+        ("--size", "640x480", (640, 480)),
+        ("--chessboard", "8x6", (8, 6)),
+        ("--corners", "1,2 3,4  5,6 7,8.5", ((1, 2), (3, 4), (5, 6), (7, 8.5))),
+        ("--crop", "-1, 0,1,1e1", (-1, 0, 1, 10)),
+        ("--datum", "1,2", (1, 2)),
+        ("--datum", "1,2,90", (1, 2, 90)),
+        ("--time-offset", "-0.5", (-0.5,)),
+        ("--lever-arm", "auto", None),
+        ("--format", "nav2, png", ("png", "nav2")),
+        ("--memory", "1.5M", 1_500_000),
+    ],
+)
+def test_a_list_of_numbers_or_words_is_read(name: str, text: str, value: Any) -> None:
+    assert value_of(name, text) == value
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "form"),
+    [
+        ("--size", "640x32", "WxH, 64 or more each"),
+        ("--size", "640.5x480", "WxH"),
+        ("--chessboard", "8x2", "8x6, 3 or more each"),
+        ("--corners", "1,2 3,4 5,6", "x,y x,y x,y x,y"),
+        ("--corners", "1,2 3,4 5,6 7,nan", "x,y x,y x,y x,y"),
+        ("--crop", "auto", "x_min,y_min,x_max,y_max"),
+        ("--datum", "1", "latitude,longitude"),
+        ("--time-offset", "1,2", "SECONDS"),
+        ("--lever-arm", "inf,0", "AHEAD,LEFT"),
+        ("--format", "jpeg", "png, geotiff, deepzoom, nav2"),
+        ("--memory", "0", "500M or 2G"),
+    ],
+)
+def test_a_value_of_another_form_is_refused_with_the_form(name: str, text: str, form: str) -> None:
+    with pytest.raises(click.BadParameter, match=r"of the form|none of|no amount") as raised:
+        value_of(name, text)
+    assert form in raised.value.message
+
+
+def test_angles_and_bytes_are_written_as_they_are_read() -> None:
+    shown = ProductOptions()
+    rotate = next(p for p in LOADED["render"].params if "--rotate" in p.opts)
+    memory = next(p for p in LOADED["render"].params if "--memory" in p.opts)
+    assert rotate.type.convert("180", None, None) == pytest.approx(3.14159265)
+    assert rotate.default == "0.0"
+    assert memory.type.convert(memory.default, None, None) == shown.memory_bytes

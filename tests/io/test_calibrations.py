@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 import yaml
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import seen_floor
+from slamcli.core.camera.mounting import compose_robot_from_image
 from slamcli.core.errors import CalibrationError
 from slamcli.io.calibrations import (
     CalibrationSource,
@@ -31,7 +32,7 @@ def example(**changes: object) -> Calibration:
         distortion=np.array([-0.21, 1e-05, -2e-17, 0.0, 0.3]),
         distortion_model="plumb_bob",
         image_size=(640, 480),
-        robot_from_image=projection.compose_robot_from_image(matrix, height, pitch, roll),
+        robot_from_image=compose_robot_from_image(matrix, height, pitch, roll),
         height_metres=height,
         pitch_radians=pitch,
         roll_radians=roll,
@@ -138,11 +139,14 @@ def put(*keys: str, value: object) -> object:
         (put("camera_matrix", "data", value=[0.0] * 9), "singular"),
         (put("camera_matrix", "data", value=[math.nan] * 9), "not finite"),
         (put("camera_matrix", value={"rows": 3}), "no data"),
-        (put("distortion_model", value="wobbly"), "distortion_model 'wobbly'"),
+        (put("distortion_model", value="wobbly"), "distortion_model is 'wobbly'"),
         (put("distortion_coefficients", "data", value=[0.0] * 3), "has 3 numbers"),
         (put("ground_plane", "height_metres", value=0.0), "height_metres is 0"),
         (put("ground_plane", "height_metres", value=-0.2), "height_metres is -0.2"),
-        (put("ground_plane", "height_metres", value=math.inf), "not finite"),
+        (put("ground_plane", "height_metres", value=math.inf), "height_metres is inf"),
+        (put("ground_plane", "height_metres", value=10**400), "height_metres is too large"),
+        (put("ground_plane", "pitch_degrees", value=200.0), "pitch_degrees, in radians, is 3.49"),
+        (put("ground_plane", "roll_sigma_degrees", value=-1.0), "roll_sigma_degrees"),
         (put("ground_plane", "max_range_metres", value=0), "max_range_metres is 0"),
         (put("ground_plane", "pitch_degrees", value=None), "pitch_degrees"),
         (put("ground_plane", "pitch_sigma_degrees", value="small"), "pitch_sigma_degrees"),
@@ -178,4 +182,4 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["simulated_square.yaml", "webcam_low.yaml"])
 def test_the_samples_load(name: str) -> None:
     calibration = load_calibration(str(SAMPLES / name))
-    assert projection.seen_floor(calibration).shape[1] == 2
+    assert seen_floor(calibration).shape[1] == 2

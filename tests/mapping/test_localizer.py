@@ -10,28 +10,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_line import slam
+from worlds import make_photographer, take
 
 import slamcli
-from slamcli.cli.main import main
+from slamcli.core.exit_codes import ExitCode
 from slamcli.core.geometry import Pose2
 from slamcli.io.files import write_image
 from slamcli.io.map_file import load_map, save_map
-from slamcli.simulation import floors, photograph
-from slamcli.simulation.config import CameraOptions, DisturbanceOptions
-
-CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
+from slamcli.simulation import photograph
 
 
 @pytest.fixture(scope="module")
 def photographer() -> photograph.Photographer:
-    floor = floors.make_floor("asphalt", 0.0, 0.001, seed=3)
-    return photograph.Photographer(photograph.World(floor), photograph.make_camera(CAMERA))
-
-
-def take(photographer: photograph.Photographer, pose: Pose2, seed: int) -> np.ndarray:
-    generator = np.random.default_rng(seed)
-    return photograph.take(photographer, (pose, pose), 0.0, DisturbanceOptions(), generator)
+    return make_photographer()
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +126,7 @@ def test_a_forged_map_is_refused_in_one_line(
     ("spoil", "message"),
     [
         (lambda data: data[:-1] + b"\0\0", "damaged"),
-        (lambda data: data.replace(b"map 2\n", b"map 9\n", 1), "format version 9"),
+        (lambda data: data.replace(b"map 3\n", b"map 9\n", 1), "format version 9"),
         (lambda data: b"PK\x03\x04" + data, "not a map"),
         (lambda data: b"", "not a map"),
     ],
@@ -146,7 +138,7 @@ def test_a_spoilt_map_is_refused_in_one_line(
     path.write_bytes(spoil(map_file.read_bytes()))
     with pytest.raises(slamcli.MapError, match=message):
         load_map(path)
-    result = CliRunner().invoke(main, ["locate", str(path), str(tmp_path)])
+    result = slam("locate", path, tmp_path)
     assert result.exit_code == 1
     assert result.output.startswith("Error: ")
 
@@ -157,17 +149,20 @@ def test_the_command_locates_frames(
     write_image(tmp_path / "a.png", take(photographer, Pose2(0.1, 0.01, 0.1), 300))
     write_image(tmp_path / "b.png", take(photographer, Pose2(9.0), 301))
     (tmp_path / "c.png").write_bytes(b"not a picture")
-    frames = [str(tmp_path / f"{name}.png") for name in "abc"]
+    frames = [tmp_path / f"{name}.png" for name in "abc"]
     table = tmp_path / "found.csv"
-    result = CliRunner().invoke(main, ["locate", str(map_file), *frames, "-o", str(table)])
-    assert result.exit_code == 0, result.output
-    assert "1 of 3 frames are on the map" in result.output
+    result = slam("locate", map_file, *frames, "-o", table)
+    assert result.exit_code == ExitCode.INCOMPLETE, result.output
+    assert "incomplete: 1 of 3 frames are on the map" in result.output
     rows = table.read_text().splitlines()
     assert len(rows) == 4
     assert rows[1].split(",")[3] == "tracked"
-    listed = CliRunner().invoke(main, ["locate", str(map_file), *frames, "--json"])
-    entries = json.loads(listed.stdout)
+    printed = slam("locate", map_file, *frames, "--json")
+    entries = json.loads(printed.stdout)
     assert [entry["here"] for entry in entries] == [True, False, False]
     assert math.hypot(entries[0]["x"] - 0.1, entries[0]["y"] - 0.01) < 0.002
-    alone = CliRunner().invoke(main, ["locate", str(map_file), frames[1]])
-    assert alone.exit_code == 1
+    alone = slam("locate", map_file, frames[1])
+    assert alone.exit_code == ExitCode.ERROR
+    half = slam("locate", map_file, *frames[:2])
+    assert half.exit_code == ExitCode.DONE
+    assert slam("locate", map_file, *frames[:2], "--strict").exit_code == ExitCode.INCOMPLETE

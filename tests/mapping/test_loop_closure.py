@@ -9,17 +9,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from worlds import make_photographer, take
 
 import slamcli
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame
 from slamcli.mapping.backend.pose_graph import PoseGraph
 from slamcli.mapping.keyframes import KeyframeCache, encode_keyframe
-from slamcli.simulation import floors, photograph
-from slamcli.simulation.config import CameraOptions, DisturbanceOptions
+from slamcli.simulation import photograph
 from slamcli.stages import covisibility, dense
 
-CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
 LOOP_FRAMES = 26
 # Round a circle a little more than once, so that the end sees the beginning.
 CIRCLE = [
@@ -30,13 +29,7 @@ CIRCLE = [
 
 @pytest.fixture(scope="module")
 def photographer() -> photograph.Photographer:
-    floor = floors.make_floor("asphalt", 0.0, 0.001, seed=3)
-    return photograph.Photographer(photograph.World(floor), photograph.make_camera(CAMERA))
-
-
-def take(photographer: photograph.Photographer, pose: Pose2, seed: int) -> np.ndarray:
-    generator = np.random.default_rng(seed)
-    return photograph.take(photographer, (pose, pose), 0.0, DisturbanceOptions(), generator)
+    return make_photographer()
 
 
 def drive(

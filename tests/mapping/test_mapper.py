@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from worlds import error_of, make_photographer, take
 
 import slamcli
 from slamcli.core.geometry import Pose2
 from slamcli.simulation import floors, photograph
-from slamcli.simulation.config import CameraOptions, DisturbanceOptions
+from slamcli.simulation.config import CameraOptions
 from slamcli.stages import covisibility
 
 CAMERA = CameraOptions(size=(400, 300), height_metres=0.2, pitch_degrees=45.0)
@@ -18,19 +19,7 @@ CAMERA = CameraOptions(size=(400, 300), height_metres=0.2, pitch_degrees=45.0)
 
 @pytest.fixture(scope="module")
 def photographer() -> photograph.Photographer:
-    floor = floors.make_floor("asphalt", 0.0, 0.001, seed=3)
-    return photograph.Photographer(photograph.World(floor), photograph.make_camera(CAMERA))
-
-
-def take(photographer: photograph.Photographer, pose: Pose2, seed: int = 0) -> np.ndarray:
-    generator = np.random.default_rng(seed)
-    return photograph.take(photographer, (pose, pose), 0.0, DisturbanceOptions(), generator)
-
-
-def error_of(estimate: slamcli.PoseEstimate, truth: Pose2) -> tuple[float, float]:
-    assert estimate.map_from_robot is not None, estimate.reason
-    error = truth.inverse() @ estimate.map_from_robot
-    return error.translation_length, abs(math.degrees(error.theta))
+    return make_photographer(camera=CAMERA)
 
 
 def test_a_drive_is_located_to_a_millimetre(photographer: photograph.Photographer) -> None:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from slamcli.core.camera import projection
+from slamcli.core.camera.calibration import top_down_calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, PoseEstimate, PreparedFrame
@@ -17,7 +17,7 @@ from slamcli.mapping.backend.sensors import Sensors
 from slamcli.mapping.motion_model import MotionModel
 from slamcli.mapping.tracking_state import TrackingState
 
-CALIBRATION = projection.top_down_calibration((128, 128))
+CALIBRATION = top_down_calibration((128, 128))
 OPTIONS = MapperOptions(search_angle_degrees=30.0, search_share_of_range=0.25)
 STEP_METRES = 0.25 * CALIBRATION.max_range_metres
 # Two motions that do not commute: the order of composition matters.

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from worlds import make_photographer, take
 
 import slamcli
 from slamcli.core.geometry import Pose2
@@ -14,28 +15,20 @@ from slamcli.mapping.backend.pose_graph import PoseGraph
 from slamcli.mapping.keyframes import KeyframeDatabase, encode_keyframe
 from slamcli.mapping.preprocessing import Preprocessor
 from slamcli.mapping.relocalization import Relocalizer, are_near
-from slamcli.simulation import floors, photograph
-from slamcli.simulation.config import CameraOptions, DisturbanceOptions
 from slamcli.stages.place_index import PlaceCandidate
-
-CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
 
 
 class Floor:
     """An asphalt floor, a camera over it, and a map of some keyframes."""
 
     def __init__(self) -> None:
-        floor = floors.make_floor("asphalt", 0.0, 0.001, seed=3)
-        camera = photograph.make_camera(CAMERA)
-        self.photographer = photograph.Photographer(photograph.World(floor), camera)
-        self.camera = camera
+        self.photographer = make_photographer()
+        self.camera = self.photographer.calibration
         self.options = slamcli.MapperOptions()
-        self.preprocessor = Preprocessor(camera, self.options)
+        self.preprocessor = Preprocessor(self.camera, self.options)
 
     def look(self, pose: Pose2, index: int) -> PreparedFrame:
-        generator = np.random.default_rng(index)
-        still = (pose, pose)
-        image = photograph.take(self.photographer, still, 0.0, DisturbanceOptions(), generator)
+        image = take(self.photographer, pose, index)
         return self.preprocessor.prepare(Frame(index, str(index), None, image))
 
     def map(self, keyframes: dict[Pose2, Pose2]) -> tuple[Relocalizer, PoseGraph]:

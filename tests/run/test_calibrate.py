@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -13,13 +14,15 @@ from click.testing import CliRunner
 from square_photos import SIDE_METRES, Photo, random_photo, render, rotation
 
 from slamcli.cli.main import main
-from slamcli.core.camera import projection
-from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.calibration import Calibration, top_down_calibration
+from slamcli.core.camera.lens import distort_points, undistort_points
+from slamcli.core.camera.resolution import floor_sampling
 from slamcli.core.errors import CalibrationError, InputError, OutputError
 from slamcli.core.geometry import apply_homography
 from slamcli.io.calibrations import load_calibration, save_calibration
 from slamcli.run.calibrate import CalibrateOptions
 from slamcli.run.calibrate import calibrate as run_calibrate
+from slamcli.run.calibrate.mountings import choose_best, floor_areas
 from slamcli.stages import calibrate
 
 SQUARE = CalibrateOptions(side_metres=SIDE_METRES)
@@ -31,17 +34,15 @@ def floor_distance_errors(photo: Photo, calibration: Calibration) -> np.ndarray:
     floor = lattice @ rotation(photo.yaw).T + photo.centre
     depth = floor @ photo.image_from_robot[2, :2] + photo.image_from_robot[2, 2]
     floor = floor[depth > 0.02]
-    pixels = projection.distort_points(
-        photo.intrinsics, apply_homography(photo.image_from_robot, floor)
-    )
+    pixels = distort_points(photo.intrinsics, apply_homography(photo.image_from_robot, floor))
     seen = np.all((pixels >= 0) & (pixels <= np.array(photo.size) - 1), axis=1)
-    undistorted = projection.undistort_points(calibration, pixels[seen])
+    undistorted = undistort_points(calibration, pixels[seen])
     measured = apply_homography(calibration.robot_from_image, undistorted)
     first, second = np.triu_indices(int(seen.sum()), 1)
     true = np.linalg.norm(floor[seen][first] - floor[seen][second], axis=1)
-    told = np.linalg.norm(measured[first] - measured[second], axis=1)
+    found = np.linalg.norm(measured[first] - measured[second], axis=1)
     apart = true >= 0.99 * photo.side
-    return np.abs(told / true - 1.0)[apart]
+    return np.abs(found / true - 1.0)[apart]
 
 
 def save_photo(photo: Photo, path: Path) -> Path:
@@ -57,7 +58,7 @@ def run(photo: Photo, folder: Path, options: CalibrateOptions = SQUARE) -> Calib
 
 def solve(photo: Photo, corners: np.ndarray, sigma: float, *, known: bool) -> calibrate.Mounting:
     ordered = calibrate.sort_corners(corners, photo.size)
-    undistorted = projection.undistort_points(photo.intrinsics, ordered) if known else ordered
+    undistorted = undistort_points(photo.intrinsics, ordered) if known else ordered
     points = calibrate.FloorPoints(
         calibrate.square_target(photo.side), undistorted, np.eye(8) * sigma**2
     )
@@ -67,7 +68,7 @@ def solve(photo: Photo, corners: np.ndarray, sigma: float, *, known: bool) -> ca
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_simulated_squares_calibrate_within_the_promised_limits(seed: int, tmp_path: Path) -> None:
+def test_simulated_squares_calibrate_within_the_limits(seed: int, tmp_path: Path) -> None:
     photo = random_photo(seed, hard=False)
     calibration = run(photo, tmp_path)
     assert floor_distance_errors(photo, calibration).max() < 0.01
@@ -88,7 +89,7 @@ def test_exact_corners_give_the_exact_camera(yaw: float, roll: float) -> None:
     assert mounting.residual_pixels < 1e-6
 
 
-def test_the_sigmas_tell_how_far_the_numbers_are_off() -> None:
+def test_the_sigmas_match_the_errors_of_the_numbers() -> None:
     photo = Photo(yaw=25.0, roll=2.0)
     generator = np.random.default_rng(4)
     scores = []
@@ -234,8 +235,8 @@ def test_the_command_writes_a_calibration_and_a_check_picture(tmp_path: Path) ->
 def test_the_far_limit_is_chosen_or_given(tmp_path: Path) -> None:
     photo = Photo(pitch=20.0, height=0.2, centre=(0.6, 0.0), noise=2.0)
     chosen = run(photo, tmp_path)
-    near = projection.floor_sampling(chosen, [[0.35, 0.0]])[0, 0]
-    far = projection.floor_sampling(chosen, [[chosen.max_range_metres, 0.0]])[0, 0]
+    near = floor_sampling(chosen, [[0.35, 0.0]])[0, 0]
+    far = floor_sampling(chosen, [[chosen.max_range_metres, 0.0]])[0, 0]
     assert far / near > 3
     given = run(photo, tmp_path, CalibrateOptions(SIDE_METRES, max_range_metres=0.9))
     assert given.max_range_metres == 0.9
@@ -266,6 +267,45 @@ def test_several_photos_are_compared_and_the_best_is_written(tmp_path: Path) -> 
     assert load_calibration(tmp_path / "all.yaml").pitch_radians == own.pitch_radians
 
 
+def test_of_mountings_that_resolve_about_as_much_the_one_with_more_features_is_best() -> None:
+    mountings = [(1.0, 10), (0.97, 20), (0.9, 30)]
+    results = [SimpleNamespace(resolved_area=area, feature_count=n) for area, n in mountings]
+    assert choose_best(results)[0] is results[1]
+    assert choose_best(results[::2])[0] is results[0]
+
+
+def test_a_flat_camera_resolves_a_part_of_the_floor_that_it_keeps(tmp_path: Path) -> None:
+    area, resolved = floor_areas(run(Photo(pitch=20.0, height=0.35, centre=(0.9, 0.0)), tmp_path))
+    assert 0.01 * area < resolved < 0.5 * area
+
+
+def notes_of(photo: Photo, folder: Path, options: CalibrateOptions = SQUARE) -> str:
+    picture = save_photo(photo, folder / "square.png")
+    lines = run_calibrate([picture], folder / "out.yaml", options, overwrite=True)
+    return "\n".join(line for line in lines if line.startswith("note: "))
+
+
+def test_sides_that_a_lens_bends_are_reported(tmp_path: Path) -> None:
+    bent = Photo(focal=420.0, centre=(0.45, 0.0), distortion=(-0.3, 0.1, 0.0, 0.0, 0.0))
+    assert "sides bend by up to" in notes_of(bent, tmp_path)
+    assert "bend" not in notes_of(Photo(), tmp_path)
+
+
+def test_corners_that_are_not_those_of_a_square_are_reported(tmp_path: Path) -> None:
+    photo = Photo(focal=560.0)
+    corners = [(float(x), float(y)) for x, y in photo.corners]
+    wrong = [corners[0], corners[1], corners[2], (corners[3][0], corners[3][1] + 10.0)]
+    for given, noted in ((corners, False), (wrong, True)):
+        options = CalibrateOptions(SIDE_METRES, corners=tuple(given))
+        assert ("fits a flat floor only to" in notes_of(photo, tmp_path, options)) == noted
+
+
+def test_a_camera_that_looks_exactly_down_is_refused_even_with_intrinsics() -> None:
+    photo = Photo(pitch=90.0, height=0.6, centre=(0.02, 0.0), yaw=10.0)
+    with pytest.raises(CalibrationError, match="looks straight down"):
+        solve(photo, photo.corners, 0.1, known=True)
+
+
 def blank_photo(folder: Path) -> Path:
     path = folder / "photo.png"
     cv2.imwrite(str(path), np.full((480, 640, 3), 80, np.uint8))
@@ -277,7 +317,7 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path: Path) -> None:
     output = tmp_path / "out.yaml"
     corners = ((100.0, 100.0), (300.0, 100.0), (300.0, 300.0), (100.0, 300.0))
     lens = tmp_path / "lens.yaml"
-    save_calibration(lens, projection.top_down_calibration((320, 240)))
+    save_calibration(lens, top_down_calibration((320, 240)))
     text = tmp_path / "text.png"
     text.write_text("no picture")
     cases: list[tuple[Path, CalibrateOptions, type[Exception], str]] = [

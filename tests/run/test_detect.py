@@ -8,16 +8,15 @@ import cv2
 import floor_pictures
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_line import slam
 
-from slamcli.cli.main import main
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import write_image
 
 
 def run(*arguments):
-    return CliRunner().invoke(main, ["detect", *map(str, arguments)], catch_exceptions=False)
+    return slam("detect", *arguments)
 
 
 def rows_of(folder):

@@ -13,9 +13,8 @@ import floor_pictures
 import numpy as np
 import pytest
 import tiny_networks
-from click.testing import CliRunner
+from command_line import slam
 
-from slamcli.cli.main import main
 from slamcli.core.config import FeatureOptions, MatchOptions
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2
@@ -26,10 +25,6 @@ from slamcli.stages import align, features
 
 SIZE = (tiny_networks.SIDE, tiny_networks.SIDE)
 MOTION = Pose2(30.3, -20.6, math.radians(5.0))
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [*map(str, arguments)], catch_exceptions=False)
 
 
 @pytest.fixture(scope="module")
@@ -117,13 +112,13 @@ def test_the_commands_take_the_files(folder, tmp_path):
     point = ("--features", "aliked", "--weights", folder / "aliked.onnx")
     point += ("--network-size", "256x256")
     glue = ("--matcher", "lightglue", "--matcher-weights", folder / "lightglue.onnx")
-    result = run("match", folder / "a.png", folder / "b.png", *point, *glue, "--json")
+    result = slam("match", folder / "a.png", folder / "b.png", *point, *glue, "--json")
     assert result.exit_code == 0, result.output
     facts = json.loads(result.stdout)
     # Image axes: y down, so a turn to the left of the camera turns the picture by its opposite.
     assert facts["rotation_degrees"] == pytest.approx(5.0, abs=0.2)
     assert facts["features"]["method"] == "ALIKED"
-    detected = run("detect", folder / "a.png", "-o", tmp_path / "found", *point)
+    detected = slam("detect", folder / "a.png", "-o", tmp_path / "found", *point)
     assert "ALIKED points" in detected.stdout
     frames = tmp_path / "frames"
     frames.mkdir()
@@ -132,14 +127,36 @@ def test_the_commands_take_the_files(folder, tmp_path):
     maps = []
     for workers in (1, 2):
         output = tmp_path / f"map{workers}"
-        done = run("stitch", frames, "-o", output, *point, *glue, "--workers", workers)
+        done = slam("stitch", frames, "-o", output, *point, *glue, "--workers", workers)
         assert done.exit_code == 0, done.output
         maps.append((output / "poses.csv").read_bytes())
     assert maps[0] == maps[1]
     rows = list(csv.DictReader(maps[0].decode().splitlines()))
     assert [row["status"] for row in rows] == ["tracked", "tracked"]
-    told = tomllib.loads((tmp_path / "map1" / "run.toml").read_text(encoding="utf-8"))
-    assert told["options"]["networks"]["weights"] == str(folder / "aliked.onnx")
+    recorded = tomllib.loads((tmp_path / "map1" / "run.toml").read_text(encoding="utf-8"))
+    assert recorded["options"]["networks"]["weights"] == str(folder / "aliked.onnx")
+
+
+def test_a_map_of_learned_features_is_rendered_but_not_located_in(folder, tmp_path):
+    frames, output = tmp_path / "frames", tmp_path / "map"
+    frames.mkdir()
+    for name in ("a.png", "b.png"):
+        (frames / name).write_bytes((folder / name).read_bytes())
+    point = ("--features", "aliked", "--weights", folder / "aliked.onnx")
+    done = slam("stitch", frames, "-o", output, *point, "--network-size", "256x256")
+    assert done.exit_code == 0, done.output
+    assert "do not take aliked" in done.stdout
+    again = slam("render", output, "-o", tmp_path / "again")
+    assert again.exit_code == 0, again.output
+    assert (tmp_path / "again" / "mosaic.pgw").read_bytes() == (output / "mosaic.pgw").read_bytes()
+    for words in (
+        ("locate", output, frames),
+        ("stitch", folder / "a.png", "--extend", output, "-o", tmp_path / "no"),
+    ):
+        result = slam(*words)
+        assert result.exit_code == 1
+        assert result.stderr.count("\n") == 1
+        assert "ALIKED features" in result.stderr
 
 
 @pytest.mark.parametrize(
@@ -173,7 +190,7 @@ def test_the_commands_take_the_files(folder, tmp_path):
 )
 def test_a_file_that_does_not_serve_is_one_line(folder, monkeypatch, arguments, said):
     monkeypatch.chdir(folder)
-    result = run("match", "a.png", "b.png", *arguments)
+    result = slam("match", "a.png", "b.png", *arguments)
     assert result.exit_code == 1
     assert result.stderr.count("\n") == 1
     assert said in result.stderr

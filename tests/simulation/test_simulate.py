@@ -1,4 +1,4 @@
-"""The simulated world: what it draws lies where its truth says."""
+"""The simulator: what it draws lies where its ground truth has it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from trajectories import read_poses, read_rows
 
 from slamcli.cli.main import main
-from slamcli.core.camera import projection
+from slamcli.core.camera.projection import project_floor
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.io.calibrations import load_calibration
 from slamcli.simulation import drive, floors, photograph
@@ -27,7 +27,7 @@ def simulate(folder: Path, *arguments: str) -> None:
     assert result.exit_code == 0, result.output
 
 
-def test_a_floor_is_the_same_whichever_way_it_is_read() -> None:
+def test_a_floor_is_the_same_in_whatever_windows_it_is_read() -> None:
     for kind in floors.FLOORS:
         whole = floors.make_floor(kind, 0.5, 0.001, 1).region(Grid(-0.6, 0.6, 0.001, 700, 650))
         part = floors.make_floor(kind, 0.5, 0.001, 1).region(Grid(-0.3, 0.2, 0.001, 90, 80))
@@ -66,7 +66,7 @@ def test_a_photo_shows_a_decal_where_the_camera_model_says() -> None:
     image = photograph.take(photographer, (place, place), 0.0, quiet, np.random.default_rng(0))
     gray = image[..., 0].astype(float)
     rim = [np.linspace(corners[i - 1], corners[i], 20, endpoint=False) for i in range(4)]
-    outline, _ = projection.project_floor(calibration, centre + np.concatenate(rim))
+    outline, _ = project_floor(calibration, centre + np.concatenate(rim))
     moments = cv2.moments(np.clip(gray - gray.min() - 5, 0, None))
     seen = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
     polygon = cv2.moments(outline.astype(np.float32))
@@ -74,14 +74,14 @@ def test_a_photo_shows_a_decal_where_the_camera_model_says() -> None:
     np.testing.assert_allclose(seen, expected, atol=0.05)
 
 
-def test_a_box_stands_on_its_place_and_hides_the_floor_behind() -> None:
+def test_a_box_is_drawn_at_its_pose_and_hides_the_floor_behind() -> None:
     calibration = photograph.make_camera(CameraOptions(size=(320, 240)))
     box = photograph.Box(Pose2(0.6, 0.0, 0.3), (0.08, 0.08, 0.1), (40.0, 40.0, 250.0))
     floor = floors.make_floor("asphalt", 0.0, 0.001, 0)
     photographer = photograph.Photographer(photograph.World(floor, (box,)), calibration)
     image = photographer.expose(Pose2(), calibration, 0.0)
     red = (image[..., 2] > 100) & (image[..., 0] < 60)
-    base = projection.project_floor(calibration, [[0.6, 0.0]])[0][0]
+    base = project_floor(calibration, [[0.6, 0.0]])[0][0]
     rows, columns = np.nonzero(red)
     assert rows.max() > base[1]
     assert rows.min() < base[1] - 15
@@ -98,8 +98,8 @@ def test_paths_have_their_length_and_sensors_their_errors() -> None:
         sideways = max(abs(step.y) for step in steps) > 0.1 * total / len(steps) + 1e-6
         assert sideways == (path == "drift")
     readings = drive.sense(poses, SimulationOptions().sensors, np.random.default_rng(0))
-    felt = readings.odometry[-1]
-    drift = math.hypot(felt.x - poses[-1].x, felt.y - poses[-1].y)
+    last = readings.odometry[-1]
+    drift = math.hypot(last.x - poses[-1].x, last.y - poses[-1].y)
     assert 0.001 < drift < 0.6
 
 
@@ -109,7 +109,7 @@ def test_local_metres_become_degrees_as_on_the_ellipsoid() -> None:
     np.testing.assert_allclose(places, [[45.0, 8.0], [46.0, 7.0]], atol=2e-5)
 
 
-def test_a_simulation_is_the_same_twice_and_holds_all_it_says(tmp_path: Path) -> None:
+def test_a_simulation_is_the_same_twice_and_complete(tmp_path: Path) -> None:
     simulate(tmp_path / "a", "--boxes", "3", "--rocking", "0.2", "--motion-blur", "0.5")
     simulate(tmp_path / "b", "--boxes", "3", "--rocking", "0.2", "--motion-blur", "0.5")
     names = sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*.*"))
@@ -146,7 +146,7 @@ def test_a_path_of_poses_and_a_floor_of_a_picture(tmp_path: Path) -> None:
         (["--square-side", "9"], "smaller --square-side"),
     ],
 )
-def test_bad_wishes_are_one_line(tmp_path: Path, arguments: list[str], words: str) -> None:
+def test_an_impossible_option_is_one_line(tmp_path: Path, arguments: list[str], words: str) -> None:
     result = CliRunner().invoke(main, ["simulate", str(tmp_path / "x"), *SMALL, *arguments])
     assert result.exit_code == 1
     assert words in result.output
@@ -169,7 +169,7 @@ def test_a_room_has_its_walls_where_its_size_says() -> None:
     photographer = photograph.Photographer(photograph.World(floor, room=room), calibration)
     image = photographer.expose(Pose2(0.5, 0.0, 0.0), calibration, 0.0)[..., 1]
     # The wall ahead is 1.5 m away: below its foot the black floor, above it the gray skirting.
-    foot = projection.project_floor(calibration, [[1.5, 0.0]])[0][0]
+    foot = project_floor(calibration, [[1.5, 0.0]])[0][0]
     column, row = round(foot[0]), foot[1]
     assert image[math.floor(row) - 3, column] > 45
     assert image[math.ceil(row) + 3, column] < 30

@@ -1,4 +1,4 @@
-"""The camera that refines itself: derivatives, matches, what is recovered and what is left open."""
+"""Bundle adjustment: derivatives, patch tracking, what is recovered and what is not observable."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from matched_drives import drive, observe
 from numpy.typing import NDArray
 from trajectories import compare, read_poses
 
 from slamcli.cli.main import main
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration, Rocking
 from slamcli.core.camera.mounting import rocked
+from slamcli.core.camera.projection import project_floor
 from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.io.calibrations import (
     CalibrationSource,
@@ -56,43 +57,11 @@ def errors(found: Calibration, true: Calibration) -> NDArray[np.float64]:
     )
 
 
-def drive(turning: bool, count: int = 12) -> dict[int, Pose2]:
-    step = Pose2(0.1, 0.0, math.radians(20.0) if turning else 0.0)
-    poses = {0: Pose2()}
-    for index in range(1, count):
-        poses[index] = poses[index - 1] @ step
-    return poses
-
-
-def look(
-    calibration: Calibration,
-    poses: dict[int, Pose2],
-    rockings: dict[int, Rocking],
-    noise_pixels: float,
-) -> list[adjustment.Matches]:
-    """Return what frames two apart or less share, every tenth match a wrong one."""
-    generator = np.random.default_rng(5)
-    width, height = calibration.image_size
-    views = {i: adjustment.FramePose(pose, rockings.get(i, Rocking())) for i, pose in poses.items()}
-    matches = []
-    for a, b in [(a, a + apart) for a in poses for apart in (1, 2) if a + apart in poses]:
-        pixels_a = generator.uniform([0, height * 0.2], [width, height], (150, 2))
-        pixels_b = adjustment.transfer(calibration, views[a], views[b], pixels_a)
-        seen = np.isfinite(pixels_b).all(axis=1)
-        seen &= np.all((pixels_b > 0) & (pixels_b < calibration.image_size), axis=1)
-        pixels_a, pixels_b = pixels_a[seen], pixels_b[seen]
-        pixels_b = pixels_b + generator.normal(0.0, noise_pixels, pixels_b.shape)
-        pixels_b[::10] += generator.uniform(-15.0, 15.0, pixels_b[::10].shape)
-        whitening = np.tile(np.eye(2) / noise_pixels, (len(pixels_a), 1, 1))
-        matches.append(adjustment.Matches(a, b, pixels_a, pixels_b, whitening))
-    return matches
-
-
 def adjusted(
     start: Calibration, poses: dict[int, Pose2], matches: list[adjustment.Matches], *, rocking: bool
 ) -> adjustment.Adjustment:
     generator = np.random.default_rng(6)
-    views = {
+    frame_poses = {
         index: adjustment.FramePose(
             pose @ Pose2(*generator.normal(0.0, 0.005, 3)) if index else pose, Rocking()
         )
@@ -100,11 +69,11 @@ def adjusted(
     }
     return adjustment.adjust(
         start,
-        views,
+        frame_poses,
         matches,
         [0],
         camera_free=FREE,
-        rocking_sigmas=adjustment.FIRST_ROCKING if rocking else STILL,
+        rocking_sigmas=adjustment.INITIAL_ROCKING_SIGMAS if rocking else STILL,
         learning_rounds=5 if rocking else 0,
     )
 
@@ -122,16 +91,16 @@ def test_the_derivatives_are_those_of_the_transfer(true_camera: Calibration, mod
     found = transfer_with_jacobians(calibration, a, b, pixels)
     small = 1e-6
 
-    def moved(view: adjustment.FramePose, number: int, by: float) -> adjustment.FramePose:
+    def moved(pose: adjustment.FramePose, number: int, by: float) -> adjustment.FramePose:
         change = np.zeros(6)
         change[number] = by
-        height = calibration.height_metres + view.rocking.height_metres
+        height = calibration.height_metres + pose.rocking.height_metres
         return adjustment.FramePose(
-            view.map_from_robot @ Pose2(*change[:3]),
+            pose.map_from_robot @ Pose2(*change[:3]),
             Rocking(
-                view.rocking.pitch_radians + change[3],
-                view.rocking.roll_radians + change[4],
-                view.rocking.height_metres + height * math.expm1(change[5]),
+                pose.rocking.pitch_radians + change[3],
+                pose.rocking.roll_radians + change[4],
+                pose.rocking.height_metres + height * math.expm1(change[5]),
             ),
         )
 
@@ -162,7 +131,7 @@ def test_the_derivatives_are_those_of_the_transfer(true_camera: Calibration, mod
 
 def test_a_wrong_camera_is_recovered_with_honest_sigmas(true_camera: Calibration) -> None:
     poses = drive(turning=True)
-    matches = look(true_camera, poses, {}, 0.1)
+    matches = observe(true_camera, poses, {}, 0.1)
     found = adjusted(adjustment.changed(true_camera, WRONG), poses, matches, rocking=False)
     error = errors(found.calibration, true_camera)
     sigmas = np.sqrt(np.diag(found.camera_covariance))
@@ -170,28 +139,30 @@ def test_a_wrong_camera_is_recovered_with_honest_sigmas(true_camera: Calibration
     assert np.all(sigmas[FREE] < [0.001, 0.001, math.radians(0.03), math.radians(0.03)])
     np.testing.assert_allclose(found.camera_change, error - WRONG, atol=1e-9)
     for index, pose in poses.items():
-        apart = pose.inverse() @ found.views[index].map_from_robot
+        apart = pose.inverse() @ found.poses[index].map_from_robot
         assert apart.translation_length < 0.001
         assert abs(apart.theta) < 0.001
 
 
-def test_a_straight_drive_leaves_the_focal_length_open(true_camera: Calibration) -> None:
+def test_a_straight_drive_does_not_determine_the_focal_length(true_camera: Calibration) -> None:
     poses = drive(turning=False)
-    matches = look(true_camera, poses, {}, 0.1)
+    matches = observe(true_camera, poses, {}, 0.1)
     found = adjusted(true_camera, poses, matches, rocking=False)
     assert math.sqrt(found.camera_covariance[0, 0]) > 0.02
 
 
-def test_sigmas_stay_honest_when_the_errors_of_a_frame_are_alike(true_camera: Calibration) -> None:
+def test_sigmas_stay_honest_when_the_errors_of_a_frame_are_correlated(
+    true_camera: Calibration,
+) -> None:
     poses = drive(turning=True, count=8)
-    plain = look(true_camera, poses, {}, 0.1)
+    plain = observe(true_camera, poses, {}, 0.1)
     ratios = []
     for seed in range(6):
         generator = np.random.default_rng(seed)
         bent = {index: generator.normal(0.0, 0.4, (2, 2)) for index in poses}
         matches = []
         for pair in plain:
-            # Each picture is stretched a little, as blur or a rolling shutter does.
+            # Each image is stretched a little, as blur or a rolling shutter does.
             far = pair.pixels_b / true_camera.image_size - 0.5
             matches.append(replace(pair, pixels_b=pair.pixels_b + far @ bent[pair.b]))
         found = adjusted(true_camera, poses, matches, rocking=False)
@@ -200,7 +171,7 @@ def test_sigmas_stay_honest_when_the_errors_of_a_frame_are_alike(true_camera: Ca
     assert np.sqrt(np.mean(np.square(ratios))) < 1.6
 
 
-def test_rocking_is_learnt_and_does_not_pass_for_motion(true_camera: Calibration) -> None:
+def test_rocking_is_estimated_and_not_confused_with_motion(true_camera: Calibration) -> None:
     poses = drive(turning=True, count=16)
     generator = np.random.default_rng(7)
     sigma = math.radians(0.3)
@@ -208,14 +179,14 @@ def test_rocking_is_learnt_and_does_not_pass_for_motion(true_camera: Calibration
         index: Rocking(*generator.normal(0.0, sigma, 2), generator.normal(0.0, 0.002))
         for index in poses
     }
-    matches = look(true_camera, poses, rockings, 0.1)
+    matches = observe(true_camera, poses, rockings, 0.1)
     found = adjusted(adjustment.changed(true_camera, WRONG), poses, matches, rocking=True)
     assert found.rocking_sigmas[:2] == pytest.approx([sigma, sigma], rel=0.5)
     assert found.rocking_sigmas[2] * true_camera.height_metres == pytest.approx(0.002, rel=0.5)
     assert abs(errors(found.calibration, true_camera)[0]) < 0.005
     still = adjusted(adjustment.changed(true_camera, WRONG), poses, matches, rocking=False)
     worst = [
-        max((poses[i].inverse() @ fit.views[i].map_from_robot).translation_length for i in poses)
+        max((poses[i].inverse() @ fit.poses[i].map_from_robot).translation_length for i in poses)
         for fit in (found, still)
     ]
     assert worst[0] < 0.5 * worst[1]
@@ -240,27 +211,27 @@ def test_spots_are_found_to_hundredths_of_a_pixel_and_lines_along_one_direction(
     first, second = (adjustment.make_pyramid(picture, mask) for picture in (image, other))
     points = adjustment.choose_points(first, seen, 120)
     assert len(points) > 80
-    for foretold, coarsest, most in ((far_off, 3, 0.1), (near, 1, 0.05)):
+    for predicted, coarsest, limit in ((far_off, 3, 0.1), (near, 1, 0.05)):
         kept, pixels, _ = adjustment.track(
-            first, second, points, partial(apply_homography, foretold), coarsest
+            first, second, points, partial(apply_homography, predicted), coarsest
         )
         truth = apply_homography(bend, points[kept])
         inside = np.all((truth > 20) & (truth < (300, 220)), axis=1)
         error = np.linalg.norm(pixels - truth, axis=1)[inside]
         assert len(error) > 50
-        assert np.median(error) < most
+        assert np.median(error) < limit
     stripe = np.full((240, 320), 40, np.uint8)
     stripe[100:120] = 220
     line = adjustment.make_pyramid(cv2.GaussianBlur(stripe, (0, 0), 1.0), mask)
     points = adjustment.choose_points(line, mask, 100)
-    kept, _, whitening = adjustment.track(line, line, points, lambda places: places)
+    kept, _, whitening = adjustment.track(line, line, points, lambda pixels: pixels)
     assert len(kept) > 5
     assert np.all(np.abs(whitening[:, :, 0]) < 1e-3 * np.abs(whitening[:, :, 1]).max())
 
 
-def test_the_square_holds_the_height(true_camera: Calibration, tmp_path: Path) -> None:
+def test_the_square_fixes_the_height(true_camera: Calibration, tmp_path: Path) -> None:
     floor = Pose2(0.45, 0.03, 0.2).apply(square_target(0.3)[:, ::-1] * (-1.0, 1.0))
-    corners, seen = projection.project_floor(true_camera, floor)
+    corners, seen = project_floor(true_camera, floor)
     assert seen.all()
     wrong = rocked(true_camera, Rocking(0.0, 0.0, 0.03))
     save_calibration(tmp_path / "a.yaml", wrong, CalibrationSource("p.png", "square", 0.3, corners))
@@ -285,7 +256,7 @@ def simulate(folder: Path, *arguments: object) -> Calibration:
     return true
 
 
-def test_a_drive_mends_its_camera_and_its_map(tmp_path: Path) -> None:
+def test_a_drive_corrects_its_camera_and_its_map(tmp_path: Path) -> None:
     drive = tmp_path / "drive"
     true = simulate(drive, "--length", 1.2)
     output = tmp_path / "out"
@@ -299,9 +270,9 @@ def test_a_drive_mends_its_camera_and_its_map(tmp_path: Path) -> None:
     accuracy = compare(read_poses(output / "poses.csv"), read_poses(drive / "truth.csv"))
     assert accuracy.placed == 12
     assert accuracy.absolute_metres < 0.002
-    told = tomllib.loads((output / "run.toml").read_text())["self_calibration"]
-    assert told["verdict"] == "refined"
-    assert told["pixels_after"] < 0.2 < told["pixels_before"]
+    section = tomllib.loads((output / "run.toml").read_text())["self_calibration"]
+    assert section["verdict"] == "refined"
+    assert section["pixels_after"] < 0.2 < section["pixels_before"]
 
 
 @pytest.mark.parametrize("camera_name", ["camera.yaml", "wrong.yaml"])
@@ -310,11 +281,11 @@ def test_a_straight_drive_leaves_the_camera_as_it_is(tmp_path: Path, camera_name
     simulate(drive, "--length", 1.0, "--path", "line")
     refined = run("calibrate", "--refine", drive, "-c", drive / camera_name, "-o", tmp_path)
     assert refined.exit_code == 1, refined.output
-    assert "leave open the focal length" in refined.output
+    assert "do not determine the focal length" in refined.output
     assert not (tmp_path / "calibration.yaml").exists()
 
 
-def test_refining_asks_for_a_calibration_and_leaves_the_square_to_others(tmp_path: Path) -> None:
+def test_refining_needs_a_calibration_and_does_not_read_a_square(tmp_path: Path) -> None:
     frame = tmp_path / "frames" / "0.png"
     frame.parent.mkdir()
     cv2.imwrite(str(frame), textured())

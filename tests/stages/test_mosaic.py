@@ -1,4 +1,4 @@
-"""Tiles painted from pictures of a floor that is known, and what may go wrong with them."""
+"""The mosaic: tiles painted from images of a known floor, blends, exposure, obstacles."""
 
 from __future__ import annotations
 
@@ -11,14 +11,27 @@ import pytest
 from floor_pictures import asphalt, forward_camera, photograph
 from numpy.typing import NDArray
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import footprint_hull
+from slamcli.core.camera.lens import undistort_points
+from slamcli.core.camera.mounting import compose_robot_from_image
+from slamcli.core.camera.projection import project_floor
+from slamcli.core.camera.resolution import floor_sampling, resolution_image
 from slamcli.core.config import Blend, PaintOptions
 from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.core.records import Frame, PosedFrame, Tile
-from slamcli.stages.mosaic import blend, exposure, obstacles, sampling, tiles, view_consistency
+from slamcli.stages.mosaic import (
+    blend,
+    compensation,
+    exposure,
+    obstacles,
+    source_image,
+    tiles,
+    view_consistency,
+)
 from slamcli.stages.mosaic.exposure import Exposure
 from slamcli.stages.mosaic.painter import Painter
+from slamcli.stages.mosaic.sampling import sample_image
 
 SCALE = 0.001
 FLOOR = asphalt(1400, seed=3)
@@ -48,14 +61,14 @@ def paint(
 ) -> Tile:
     calibration = forward_camera()
     own = calibrations or [calibration] * len(frames)
-    shots = [
+    posed_frames = [
         PosedFrame(frame.index, POSES[frame.index], one)
         for frame, one in zip(frames, own, strict=True)
     ]
     painter = Painter(calibration, SCALE, PaintOptions(blend=how, obstacles=obstacles), light)
     made = [painter.picture(frame, number) for number, frame in enumerate(frames)]
-    numbers = dict(painter.plan(shots))[KEY]
-    tile = painter.paint(KEY, shots, numbers, made.__getitem__)
+    numbers = dict(painter.plan(posed_frames))[KEY]
+    tile = painter.paint(KEY, posed_frames, numbers, made.__getitem__)
     assert tile is not None
     return tile
 
@@ -81,7 +94,7 @@ def energy(image: NDArray[np.generic], inside: NDArray[np.bool_]) -> float:
     )
 
 
-def test_the_best_blend_is_nearer_to_the_floor_and_sharper_than_the_mean() -> None:
+def test_the_best_blend_is_nearer_to_the_floor_and_keeps_more_texture_than_the_mean() -> None:
     frames = pictures()
     best, mean = paint(frames), paint(frames, "mean")
     seen = (best.pixels_per_metre > 0) & (mean.pixels_per_metre > 0)
@@ -89,9 +102,9 @@ def test_the_best_blend_is_nearer_to_the_floor_and_sharper_than_the_mean() -> No
     np.testing.assert_array_equal(best.pixels_per_metre > 0, mean.pixels_per_metre > 0)
     assert decibels(best) > 27.0
     assert decibels(best) > decibels(mean) + 0.5
-    sharp = energy(truth(), seen)
+    true = energy(truth(), seen)
     assert energy(best.image[..., 1], seen) > 1.1 * energy(mean.image[..., 1], seen)
-    assert 0.5 < energy(best.image[..., 1], seen) / sharp < 1.1
+    assert 0.5 < energy(best.image[..., 1], seen) / true < 1.1
 
 
 @pytest.mark.parametrize("how", ["feather", "multiband", "median"])
@@ -102,7 +115,7 @@ def test_every_blend_shows_the_floor(how: Blend) -> None:
     assert decibels(tile) > 25.0
 
 
-def test_exposure_is_found_and_evened_out() -> None:
+def test_exposure_is_found_and_compensated() -> None:
     gains = (1.0, 1.2, 0.8, 1.0, 1.1, 0.75, 1.25, 0.8)
     frames = pictures(gains)
     calibration = forward_camera()
@@ -114,11 +127,11 @@ def test_exposure_is_found_and_evened_out() -> None:
 
 
 def solved(frames: list[Frame], calibration: Calibration) -> Exposure:
-    return exposure.solve(observed(frames, calibration))
+    return exposure.estimate_exposure(observed(frames, calibration))
 
 
-def observed(frames: list[Frame], calibration: Calibration) -> list[exposure.Shared]:
-    hull, step = projection.footprint_hull(calibration), exposure.comparison_step(calibration)
+def observed(frames: list[Frame], calibration: Calibration) -> list[exposure.FloorBrightness]:
+    hull, step = footprint_hull(calibration), exposure.comparison_step(calibration)
     return [
         exposure.observe(
             cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY), calibration, hull, pose, step
@@ -127,32 +140,32 @@ def observed(frames: list[Frame], calibration: Calibration) -> list[exposure.Sha
     ]
 
 
-def test_a_place_seen_all_day_long_is_compared_in_some_of_its_views() -> None:
-    """Ten times over the same way: the gains come out, from a share of what was seen."""
+def test_a_point_seen_all_day_long_is_compared_in_some_of_its_views() -> None:
+    """Ten times over the same path: the gains are found from a share of the samples."""
     gains = (1.0, 1.2, 0.8, 1.0, 1.1, 0.75, 1.25, 0.8)
     calibration = forward_camera()
     seen = observed(pictures(gains), calibration)
-    light = exposure.solve(seen * 10)
+    light = exposure.estimate_exposure(seen * 10)
     evened = light.gains * np.tile(gains, 10)
     np.testing.assert_allclose(evened / np.median(evened), 1.0, atol=0.015)
 
 
-def test_light_is_compared_wherever_the_map_begins() -> None:
-    """Each frame as bright as the other wherever the places lie, on both sides of the origin."""
+def test_exposure_is_compared_wherever_the_map_begins() -> None:
+    """The gains do not depend on where the points lie, on either side of the origin."""
     for corner in ((0, -1), (0, 0), (-1, 0), (-1, -1)):
         places = np.array([corner, (corner[0], corner[1] + 1), (3, 2)], np.int32)
         plain = np.ones(3, np.float32)
         frames = [
-            exposure.Shared(places, np.full(3, np.log(gray)), 0.5 * plain, plain)
+            exposure.FloorBrightness(places, np.full(3, np.log(gray)), 0.5 * plain, plain)
             for gray in (100.0, 120.0)
         ]
-        gains = exposure.solve(frames).gains
+        gains = exposure.estimate_exposure(frames).gains
         assert gains[0] / gains[1] == pytest.approx(1.2, rel=0.01)
 
 
-def test_vignetting_is_found_and_taken_back() -> None:
+def test_vignetting_is_found_and_compensated() -> None:
     calibration = forward_camera()
-    falls = exposure.brightening_image(calibration.image_size, (-0.25, 0.0))
+    falls = compensation.brightening_image(calibration.image_size, (-0.25, 0.0))
     assert falls is not None
     frames = [
         replace(frame, image=np.rint(frame.image * falls[..., None]).astype(np.uint8))
@@ -163,18 +176,18 @@ def test_vignetting_is_found_and_taken_back() -> None:
     found = light.vignetting[0] * radius + light.vignetting[1] * radius**2
     np.testing.assert_allclose(found, 0.25 * radius, atol=0.02)
     np.testing.assert_allclose(light.gains, 1.0, atol=0.02)
-    evened = exposure.correct(
-        frames[0].image, 1.0, exposure.brightening_image((640, 480), (0.25, 0))
+    evened = compensation.correct(
+        frames[0].image, 1.0, compensation.brightening_image((640, 480), (0.25, 0))
     )
     assert np.abs(evened.astype(int) - pictures()[0].image).max() <= 2
 
 
-def test_what_passes_through_some_views_is_kept_out_and_shown_apart() -> None:
+def test_an_obstacle_in_some_views_is_left_out_of_the_mosaic_and_kept_in_its_own_layer() -> None:
     clean, frames = paint(pictures()), pictures()
     calibration = forward_camera()
     place = np.array([[0.72, 0.18], [0.84, 0.18], [0.84, 0.3], [0.72, 0.3]])
     for number in (6, 7):
-        pixels, _ = projection.project_floor(calibration, POSES[number].inverse().apply(place))
+        pixels, _ = project_floor(calibration, POSES[number].inverse().apply(place))
         spoilt = frames[number].image.copy()
         cv2.fillConvexPoly(spoilt, np.rint(pixels).astype(np.int32), (20, 20, 220))
         frames[number] = replace(frames[number], image=spoilt)
@@ -190,7 +203,7 @@ def test_what_passes_through_some_views_is_kept_out_and_shown_apart() -> None:
     assert shown[3] == obstacles.PASSED_ALPHA
 
 
-def test_a_thing_is_followed_to_where_only_two_views_see_the_floor() -> None:
+def test_an_obstacle_is_followed_to_where_only_two_views_see_the_floor() -> None:
     cells = np.full((4, 20, 20, 3), 100, np.uint8)
     weights = np.ones((4, 20, 20), np.float32)
     weights[1:3, 10:] = 0.0
@@ -211,9 +224,9 @@ def rough_floor(views: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("pixels_per_metre", [[1.0, 3.0], [3.0, 1.0], [1.0, 3.0, 1.0]])
-def test_a_thing_ends_where_floor_goes_on(pixels_per_metre: list[float]) -> None:
-    # Two views of a spot do not outvote each other, and a sharp one outweighs two: only that the
-    # second's ends where they differ tells that it is the thing.
+def test_an_obstacle_ends_where_floor_continues(pixels_per_metre: list[float]) -> None:
+    # Two views of a spot do not outvote each other, and one of high resolution outvotes two: the
+    # only evidence for an obstacle in the second view is that its content ends where they differ.
     cells = rough_floor(len(pixels_per_metre))
     cells[1, 12:26, 14:30] = (60, 90, 70)
     weights = np.full((len(pixels_per_metre), 40, 40), 1.0, np.float32)
@@ -225,7 +238,7 @@ def test_a_thing_ends_where_floor_goes_on(pixels_per_metre: list[float]) -> None
     assert shows[1, :, 34:].all()
 
 
-def test_a_thing_at_a_views_border_is_found_however_narrow_its_part() -> None:
+def test_an_obstacle_at_a_views_border_is_found_however_narrow_its_part() -> None:
     cells = rough_floor(3)
     cells[1, 12:26, 14:30] = (60, 90, 70)
     weights = np.ones((3, 40, 40), np.float32)
@@ -246,7 +259,7 @@ def test_two_views_that_differ_everywhere_decide_nothing() -> None:
 def test_each_frame_may_have_a_tilt_of_its_own() -> None:
     tilted = replace(
         forward_camera(),
-        robot_from_image=projection.compose_robot_from_image(
+        robot_from_image=compose_robot_from_image(
             forward_camera().camera_matrix, 0.3, math.radians(46.0), 0.0
         ),
     )
@@ -263,7 +276,7 @@ def test_a_lens_is_read_through_where_each_point_lies() -> None:
     bent = replace(forward_camera(), distortion=np.array([-0.25, 0.06, 0.001, -0.001, 0.0]))
     straight = forward_camera()
     columns, rows = np.meshgrid(np.arange(640.0), np.arange(480.0))
-    places = projection.undistort_points(bent, np.column_stack([columns.ravel(), rows.ravel()]))
+    places = undistort_points(bent, np.column_stack([columns.ravel(), rows.ravel()]))
     xy = places.astype(np.float32).reshape(480, 640, 2)
     smooth = cv2.GaussianBlur(FLOOR, (0, 0), 4.0)
     seen = photograph(smooth, FLOOR_GRID, straight, POSES[0])
@@ -271,9 +284,9 @@ def test_a_lens_is_read_through_where_each_point_lies() -> None:
     grid = Grid(0.4, 0.2, SCALE, 200, 200)
     read = []
     for calibration, pixels in ((bent, image), (straight, seen)):
-        usable = sampling.border_fade(projection.resolution_image(calibration))
-        made = sampling.make_picture(pixels, usable, None, 1)
-        read.append(sampling.sample(made, calibration, POSES[0], grid))
+        usable = source_image.border_fade(resolution_image(calibration))
+        made = source_image.make_source_image(pixels, usable, None, 1)
+        read.append(sample_image(made, calibration, POSES[0], grid))
     both = (read[0].weight > 0) & (read[1].weight > 0)
     assert both.mean() > 0.9
     difference = read[0].image[both].astype(int) - read[1].image[both]
@@ -287,11 +300,11 @@ def test_a_coarse_map_lies_where_the_floor_does(scale: float) -> None:
     smooth = cv2.GaussianBlur(FLOOR, (0, 0), 8.0)
     picture = photograph(smooth, FLOOR_GRID, calibration, POSES[0])
     half = cv2.resize(picture, (320, 240), interpolation=cv2.INTER_AREA)
-    usable = sampling.border_fade(projection.resolution_image(calibration))
+    usable = source_image.border_fade(resolution_image(calibration))
     grid = Grid(0.2, 0.2, scale, round(0.4 / scale), round(0.4 / scale))
     whole, halved = (
-        sampling.sample(
-            sampling.make_picture(pixels, usable, None, 3, halvings=halvings),
+        sample_image(
+            source_image.make_source_image(pixels, usable, None, 3, halvings=halvings),
             calibration,
             POSES[0],
             grid,
@@ -310,20 +323,20 @@ def test_a_coarse_map_lies_where_the_floor_does(scale: float) -> None:
         difference = look.image[..., 1][inside] - true[inside]
         shift = np.linalg.lstsq(slopes, difference, rcond=None)[0]
         assert np.abs(shift[:2]).max() * scale < 0.0001
-    if sampling.may_be_halved(calibration, scale):
+    if source_image.may_be_halved(calibration, scale):
         np.testing.assert_array_equal(whole.image, halved.image)
 
 
-def test_a_picture_is_decoded_at_half_its_size_for_coarse_maps_alone() -> None:
+def test_an_image_is_decoded_at_half_its_size_for_coarse_maps_alone() -> None:
     calibration = forward_camera()
-    assert sampling.may_be_halved(calibration, 0.008)
-    assert not sampling.may_be_halved(calibration, 0.004)
-    assert not sampling.may_be_halved(replace(calibration, image_size=(639, 480)), 0.008)
+    assert source_image.may_be_halved(calibration, 0.008)
+    assert not source_image.may_be_halved(calibration, 0.004)
+    assert not source_image.may_be_halved(replace(calibration, image_size=(639, 480)), 0.008)
 
 
-def test_a_small_pictures_pyramid_ends_with_one_pixel() -> None:
+def test_the_pyramid_of_a_small_image_ends_with_one_pixel() -> None:
     image = np.full((16, 40, 3), 90, np.uint8)
-    made = sampling.make_picture(image, np.full((16, 40), 255, np.uint8), None, 6)
+    made = source_image.make_source_image(image, np.full((16, 40), 255, np.uint8), None, 6)
     assert [level.shape[:2] for level in made.levels] == [
         (16, 40),
         (8, 20),
@@ -336,7 +349,7 @@ def test_a_small_pictures_pyramid_ends_with_one_pixel() -> None:
 def test_weight_grows_with_resolution_and_fades_at_the_border() -> None:
     pixels_per_metre = np.full((100, 100), 500.0, np.float32)
     pixels_per_metre[:, 80:] = 0.0
-    fade = sampling.border_fade(pixels_per_metre)
+    fade = source_image.border_fade(pixels_per_metre)
     assert fade[40, 40] == 255
     assert 0 < fade[40, 79] < fade[40, 70] < 255
     assert not fade[:, 80:].any()
@@ -346,7 +359,7 @@ def test_weight_grows_with_resolution_and_fades_at_the_border() -> None:
     grid = painter.extent([Pose2()])
     near, far = (grid.pixel_from_metres @ (x, 0.0, 1.0) for x in (0.3, 0.6))
     weights = [look.weight[round(p[1]), round(p[0])] for p in (near, far)]
-    sampled = projection.floor_sampling(calibration, [(0.3, 0.0), (0.6, 0.0)])
+    sampled = floor_sampling(calibration, [(0.3, 0.0), (0.6, 0.0)])
     np.testing.assert_allclose(weights, 1.0 / np.sqrt(sampled.prod(axis=1)), rtol=0.01)
 
 

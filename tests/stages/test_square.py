@@ -22,13 +22,13 @@ def plain_lens(size: tuple[int, int]) -> Intrinsics:
 
 def find(image: np.ndarray, intrinsics: Intrinsics | None = None) -> tuple[Square, ...]:
     size = (image.shape[1], image.shape[0])
-    judge = partial(
+    how_square = partial(
         calibrate.squareness,
         image_size=size,
         intrinsics=intrinsics,
         tolerance_pixels=0.004 * size[0],
     )
-    return find_squares(image, intrinsics or plain_lens(size), judge)
+    return find_squares(image, intrinsics or plain_lens(size), how_square)
 
 
 def corner_errors(corners: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -68,7 +68,7 @@ def test_a_line_of_the_same_paint_along_a_side_and_through_a_corner_does_not_mov
     assert corner_errors(square.corners, photo.corners).max() < 0.2
 
 
-def test_the_square_is_told_from_oblongs_and_the_larger_square_from_smaller_ones() -> None:
+def test_the_square_is_preferred_to_oblongs_and_the_larger_square_to_smaller_ones() -> None:
     photo = Photo(
         noise=4.0,
         height=0.4,
@@ -81,7 +81,7 @@ def test_the_square_is_told_from_oblongs_and_the_larger_square_from_smaller_ones
     assert corner_errors(square.corners, photo.corners).max() < 0.2
 
 
-def test_two_squares_alike_are_both_told_of() -> None:
+def test_two_similar_squares_are_both_reported() -> None:
     other = (0.72, -0.22, -10.0, 0.3)
     photo = Photo(noise=4.0, height=0.45, centre=(0.7, 0.2), side=0.3, other_squares=(other,))
     found = find(render(photo))
@@ -115,7 +115,7 @@ def test_a_bent_square_without_a_known_lens_keeps_its_corners_and_shows_its_bow(
     assert abs(square.quad.bow_pixels) > 1.0
 
 
-def test_the_covariance_tells_how_far_the_corners_are_off() -> None:
+def test_the_covariance_matches_the_errors_of_the_corners() -> None:
     ratios = []
     for seed in range(4):
         photo = random_photo(300 + seed, hard=False)

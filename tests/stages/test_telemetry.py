@@ -1,4 +1,4 @@
-"""The other senses: read from files, asked for any moment, their clock found."""
+"""Odometry, compass and GPS: read from files, interpolated, their clock found."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_half_way_lies_on_the_arc() -> None:
     assert abs(seam.theta) == pytest.approx(math.pi)
 
 
-def test_odometry_tells_of_moments_that_it_knows_and_no_others() -> None:
+def test_odometry_covers_the_moments_between_its_readings_and_no_others() -> None:
     moves = track([0.0, 0.1, 0.2, 1.2, 1.3], [Pose2(float(i)) for i in range(5)])
     assert moves.motion(0.05, 0.15) == Pose2(1.0)
     known = moves.at(0.1 + 1e-6)
@@ -46,7 +46,7 @@ def test_odometry_tells_of_moments_that_it_knows_and_no_others() -> None:
     for stamp in (-0.01, 0.5, 1.45):
         assert moves.at(stamp) is None, stamp
         assert moves.motion(0.0, stamp) is None
-    # A robot asks before the next reading has come.
+    # On a robot a frame comes before the next reading.
     assert moves.at(1.35) == Pose2(4.5)
     assert moves.motion(None, 0.1) is None
     shifted = track([0.0, 0.1], [Pose2(), Pose2(1.0)], time_offset_seconds=5.0)
@@ -108,6 +108,17 @@ def test_an_offset_that_the_motion_leaves_open_is_not_given() -> None:
     assert telemetry.estimate_time_offset((stamps, felt), (moments[:15], seen[:15])) is None
     stamps, felt, moments, seen = drive(4.0, 2)
     assert telemetry.estimate_time_offset((stamps, felt), (moments, seen)) is None
+
+
+@pytest.mark.parametrize(
+    ("bend", "correlation", "given"),
+    [(1000.0, 0.6, True), (400.0, 0.6, False), (1000.0, 0.4, False)],
+)
+def test_a_peak_must_be_narrow_and_correlated(bend: float, correlation: float, given: bool) -> None:
+    # A parabola of this second derivative has a sigma of 0.032 or 0.05 s; two steps are 0.04 s.
+    grid = np.arange(-20, 21) * 0.02
+    found = telemetry._peak(lambda offset: (-0.5 * bend * (offset - 0.1) ** 2, correlation), grid)
+    assert (found is not None) == given
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:

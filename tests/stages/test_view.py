@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import footprint, footprint_hull
+from slamcli.core.camera.lens import undistort_points
+from slamcli.core.camera.mounting import compose_robot_from_image
+from slamcli.core.camera.resolution import resolution_image
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.core.records import Frame, View
@@ -23,7 +26,7 @@ def calibration_of(pitch_degrees: float = 40.0) -> Calibration:
         distortion=np.array([-0.15, 0.03, 0.0, 0.0, 0.0]),
         distortion_model="plumb_bob",
         image_size=(640, 480),
-        robot_from_image=projection.compose_robot_from_image(matrix, 0.4, pitch, 0.0),
+        robot_from_image=compose_robot_from_image(matrix, 0.4, pitch, 0.0),
         height_metres=0.4,
         pitch_radians=pitch,
         roll_radians=0.0,
@@ -35,9 +38,7 @@ def picture_of(calibration: Calibration, wavelength_metres: float) -> Frame:
     """A floor whose brightness is a known smooth function of the place."""
     columns, rows = np.meshgrid(np.arange(640.0), np.arange(480.0))
     pixels = np.column_stack([columns.ravel(), rows.ravel()])
-    floor = apply_homography(
-        calibration.robot_from_image, projection.undistort_points(calibration, pixels)
-    )
+    floor = apply_homography(calibration.robot_from_image, undistort_points(calibration, pixels))
     gray = brightness(floor, wavelength_metres).reshape(480, 640)
     return Frame(0, "waves", None, np.round(gray).astype(np.uint8))
 
@@ -45,6 +46,17 @@ def picture_of(calibration: Calibration, wavelength_metres: float) -> Frame:
 def brightness(floor: np.ndarray, wavelength_metres: float) -> np.ndarray:
     phase = 2 * np.pi * floor / wavelength_metres
     return 128 + 50 * np.sin(phase[:, 0]) + 50 * np.cos(phase[:, 1])
+
+
+def test_a_far_view_is_made_where_it_shows_more_floor() -> None:
+    level = calibration_of(pitch_degrees=30.0)
+    far = view.make_far_resampler(level, 0.005)
+    assert far is not None
+    near = view.make_view_resampler(level, 0.005)
+    assert far.grid.metres_per_pixel == 0.01
+    assert far.grid.x_max > 1.5 * near.grid.x_max
+    # A camera that looks down sees all of its floor within the range.
+    assert view.make_far_resampler(calibration_of(pitch_degrees=75.0), 0.005) is None
 
 
 def test_the_view_shows_each_spot_of_the_floor_at_its_place() -> None:
@@ -63,16 +75,14 @@ def test_a_large_picture_is_matched_at_fewer_pixels(
     size: tuple[int, int], megapixels: float
 ) -> None:
     calibration = photograph.make_camera(CameraOptions(size=size))
-    grid = projection.footprint(calibration, view.registration_metres_per_pixel(calibration))
+    grid = footprint(calibration, view.registration_metres_per_pixel(calibration))
     assert grid.width * grid.height == pytest.approx(1e6 * megapixels, rel=0.02)
 
 
 def test_fine_texture_does_not_alias_where_the_raster_is_coarse() -> None:
     calibration = calibration_of(pitch_degrees=60.0)
-    grid = Grid.covering(projection.footprint_hull(calibration), 0.01)
-    resampler = view.make_resampler(
-        calibration, projection.resolution_image(calibration), grid, Pose2()
-    )
+    grid = Grid.covering(footprint_hull(calibration), 0.01)
+    resampler = view.make_resampler(calibration, resolution_image(calibration), grid, Pose2())
     seen = view.make_view(picture_of(calibration, 0.009), resampler, gray=True)
     near = seen.image[seen.mask > 0]
     assert near.std() < 15.0
@@ -129,7 +139,7 @@ def test_a_frame_of_another_kind_is_refused(image: np.ndarray, reason: str) -> N
 
 
 @pytest.mark.parametrize("sigma", [2.0, 6.0, 12.0])
-def test_the_noise_of_a_frame_is_told_from_the_texture_of_the_floor(sigma: float) -> None:
+def test_the_noise_of_a_frame_is_separated_from_the_texture_of_the_floor(sigma: float) -> None:
     generator = np.random.default_rng(4)
     flat = np.full((480, 640), 110.0)
     # Grains of a few pixels, four times as strong as the noise.

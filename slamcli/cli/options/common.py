@@ -1,20 +1,20 @@
-"""What several commands take, and how options are put together and read back."""
+"""Options and arguments of several commands: inputs, outputs, resources."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import fields
-from typing import Any, TypeVar
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamcli.cli.options.values import PATH, POSITIVE
+from slamcli.cli.options.fields import Decorator, option
+from slamcli.cli.options.values import AT_LEAST_ONE, PATH, POSITIVE
+from slamcli.core.config import PaintOptions
 
-Options = TypeVar("Options")
-
-Command = TypeVar("Command", bound=Callable[..., Any])
-
-Decorator = Callable[[Command], Command]
+if TYPE_CHECKING:
+    from slamcli.core.config import MatchOptions
+    from slamcli.simulation.config import SimulationOptions
 
 frames = click.argument("frames", nargs=-1, required=True, type=PATH)
 
@@ -22,39 +22,36 @@ calibration = click.option(
     "-c",
     "--calibration",
     type=PATH,
-    help="From `slam calibrate`. Default: calibration.yaml in the frames' folder; without one "
-    "the frames are taken as top-down pictures, in pixel units.",
+    help="The calibration, from `slam calibrate`. Default: calibration.yaml in the frames' folder; "
+    "without one the frames are taken as top-down pictures, and lengths are in pixels.",
 )
 
-overwrite = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
-
-seed = click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of all randomness."
+metres_per_pixel = option(
+    PaintOptions(),
+    "metres_per_pixel",
+    "--metres-per-pixel",
+    POSITIVE,
+    "Resolution of the result (ground sampling distance, GSD). Default: chosen from the camera's "
+    "own sampling of the floor.",
 )
 
 max_range = click.option(
     "--max-range",
     type=POSITIVE,
-    help="Metres on the floor beyond which the image is not used, in place of the calibration's.",
+    help="Metres: use the image only up to this distance on the floor, in place of the "
+    "calibration's limit.",
 )
 
-metres_per_pixel = click.option(
-    "--metres-per-pixel",
-    type=POSITIVE,
-    help="Resolution of the result. Default: chosen from how finely the camera sees the floor.",
+json_output = click.option(
+    "--json", "as_json", is_flag=True, help="Print all results as JSON, in place of text."
 )
 
-self_calibrate = click.option(
-    "--self-calibrate/--no-self-calibrate",
-    default=False,
-    help="Refine the camera by the frames themselves, where they determine it, and each frame's "
-    "tilt and height; or take the calibration as it is [default].",
-)
+strict = click.option("--strict", is_flag=True, help="Exit 3 when any frame is lost.")
 
 workers = click.option(
     "--workers",
-    type=click.IntRange(min=1),
-    help="Threads; the result is the same for any number. Default: one a processor.",
+    type=AT_LEAST_ONE,
+    help="Worker threads; the result is the same for any number. Default: one per processor.",
 )
 
 scheduler = click.option(
@@ -65,33 +62,22 @@ scheduler = click.option(
     "tcp://host:8786; all must find the frames under the same path (needs slamcli[cluster]).",
 )
 
-
-def output(what: str, *, required: bool = False, default: str | None = None) -> Decorator[Any]:
-    """Return the -o/--output option; `what` completes "Where ... goes"."""
-    return click.option(
-        "-o",
-        "--output",
-        type=PATH,
-        required=required,
-        default=default,
-        show_default=default is not None,
-        help=f"Where {what} goes.",
-    )
+overwrite = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
 
 
-def stacked(*decorators: Decorator[Any]) -> Decorator[Any]:
-    """Return one decorator for several options, shown in the order given."""
-
-    def decorate(command: Any) -> Any:
-        for decorator in reversed(decorators):
-            command = decorator(command)
-        return command
-
-    return decorate
+def output(text: str, default: str | None = None) -> Decorator[Any]:
+    """Return the -o/--output option."""
+    shown = default is not None
+    return click.option("-o", "--output", type=PATH, default=default, show_default=shown, help=text)
 
 
-def picked(kind: type[Options], told: Mapping[str, Any]) -> Options:
-    """Return the options of one kind from all that the command line says; unsaid: the default."""
-    names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
-    said = {name: value for name, value in told.items() if name in names and value is not None}
-    return kind(**said)
+def seed(group: MatchOptions | SimulationOptions) -> Decorator[Any]:
+    """Return the --seed option of a dataclass."""
+    return option(group, "seed", "--seed", click.IntRange(min=0), "Seed of all random numbers.")
+
+
+def default_output(source: Path, suffix: str) -> Path:
+    """Return the folder beside the frames' own that results go to: frames -> frames_mosaic."""
+    folder = source.resolve() if source.is_dir() else source.resolve().parent
+    beside = folder.with_name(f"{folder.name}_{suffix}")
+    return Path(os.path.relpath(beside)) if beside.is_relative_to(Path.cwd()) else beside

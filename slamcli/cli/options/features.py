@@ -1,149 +1,126 @@
-"""How points are found and described."""
+"""Options of feature detection and description."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import Any
 
 import click
 
-from slamcli.cli.options.common import picked, stacked
-from slamcli.cli.options.values import PATH, POSITIVE, Size
-from slamcli.core.config import FeatureOptions
+from slamcli.cli.options.fields import Decorator, option, stacked
+from slamcli.cli.options.values import AT_LEAST_ONE, PATH, POSITIVE, Numbers
+from slamcli.core.config import FeatureOptions, NetworkFiles
 
-if TYPE_CHECKING:
-    from slamcli.run.networks import NetworkFiles
+_feature = partial(option, FeatureOptions())
+_network = partial(option, NetworkFiles())
 
-_FEATURES = FeatureOptions()
+METHODS = ("orb", "sift", "aliked", "disk")
 
-FEATURES = ("orb", "sift", "aliked", "disk")
+SIZE = Numbers("WxH", 2, separator="x", min_whole=64)
+
+
+def feature_kind(group: FeatureOptions) -> Decorator[Any]:
+    """Return the options --features and --count, with a dataclass's defaults."""
+    return stacked(
+        option(
+            group,
+            "method",
+            "--features",
+            click.Choice(METHODS),
+            "Detector and descriptor of feature points.",
+        ),
+        option(group, "count", "--count", AT_LEAST_ONE, "Most feature points in a frame."),
+    )
+
 
 feature_details = stacked(
-    click.option(
-        "--weights", type=PATH, help="ALIKED, DISK: the network, an ONNX file that you have."
-    ),
-    click.option(
+    _network("weights", "--weights", PATH, "ALIKED, DISK: the network, an ONNX file of your own."),
+    _network(
+        "network_size",
         "--network-size",
-        type=Size(),
-        help="ALIKED, DISK: pixels that the network takes. Default: 640x640, 1024x1024.",
+        SIZE,
+        "ALIKED, DISK: size in pixels of the picture that the network takes. Default: 640x640 for "
+        "ALIKED, 1024x1024 for DISK.",
     ),
-    click.option(
+    _feature(
+        "upright",
         "--upright/--no-upright",
-        default=_FEATURES.upright,
-        help="Describe ORB's and SIFT's points as the robot sees them, for frames that differ "
-        "little in heading, or turned with their surroundings [default].",
+        text="ORB, SIFT: describe points without rotation invariance, for frames that differ "
+        "little in heading.",
     ),
-    click.option(
+    _feature(
+        "spread",
         "--spread/--no-spread",
-        default=_FEATURES.spread,
-        help="Keep the strongest points of every part of the picture [default], or of all of it.",
+        text="Keep the strongest points of every part of the picture, not the strongest of all.",
     ),
-    click.option(
-        "--refine/--no-refine",
-        default=_FEATURES.refine,
-        help="Place ORB's points to a fraction of a pixel [default], or on whole pixels.",
-    ),
-    click.option(
+    _feature("refine", "--refine/--no-refine", text="ORB: refine points to sub-pixel positions."),
+    _feature(
+        "clean",
         "--clean/--no-clean",
-        default=_FEATURES.clean,
-        help="Low-pass the picture and make what is dark black, before [default: not].",
+        text="Before detection, low-pass the picture and turn its dark pixels black.",
     ),
-    click.option(
-        "--clean-kernel",
+    _feature(
         "clean_kernel_pixels",
-        type=click.IntRange(min=1),
-        default=_FEATURES.clean_kernel_pixels,
-        show_default=True,
-        help="Side of that low-pass's box, pixels.",
+        "--clean-kernel",
+        AT_LEAST_ONE,
+        "--clean: side of the low-pass's box, in pixels.",
     ),
-    click.option(
+    _feature(
+        "clean_threshold",
         "--clean-threshold",
-        type=click.IntRange(0, 255),
-        default=_FEATURES.clean_threshold,
-        show_default=True,
-        help="Gray level up to which it makes black.",
+        click.IntRange(0, 255),
+        "--clean: gray level up to which a pixel turns black.",
     ),
-    click.option(
+    _feature(
+        "roi",
         "--roi/--no-roi",
-        default=_FEATURES.roi,
-        help="Leave out points near the border of what was seen [default], or keep them.",
+        text="Leave out points near the border of the region seen (region of interest).",
     ),
-    click.option(
-        "--roi-border",
+    _feature(
         "roi_border_pixels",
-        type=click.IntRange(min=0),
-        default=_FEATURES.roi_border_pixels,
-        show_default=True,
-        help="How near, in pixels of a point's pyramid level.",
+        "--roi-border",
+        click.IntRange(min=0),
+        "--roi: width of that border, in pixels of the point's pyramid level.",
     ),
-    click.option(
-        "--levels",
-        type=click.IntRange(1, 32),
-        default=_FEATURES.levels,
-        show_default=True,
-        help="ORB: levels of the pyramid.",
-    ),
-    click.option(
+    _feature("levels", "--levels", click.IntRange(1, 32), "ORB: number of pyramid levels."),
+    _feature(
+        "scale_factor",
         "--scale-factor",
-        type=click.FloatRange(1.01, 4.0),
-        default=_FEATURES.scale_factor,
-        show_default=True,
-        help="ORB: from one level to the next.",
+        click.FloatRange(1.01, 4.0),
+        "ORB: scale from one pyramid level to the next.",
     ),
-    click.option(
+    _feature(
+        "first_level",
         "--first-level",
-        type=click.IntRange(0, 31),
-        default=_FEATURES.first_level,
-        show_default=True,
-        help="ORB: the level that is the picture itself; those below are enlarged.",
+        click.IntRange(0, 31),
+        "ORB: the pyramid level that is the picture itself; levels below it are enlarged.",
     ),
-    click.option(
+    _feature(
+        "edge_threshold",
         "--edge-threshold",
-        type=click.IntRange(min=1),
-        default=_FEATURES.edge_threshold,
-        show_default=True,
-        help="ORB: pixels left out at each level's border.",
+        AT_LEAST_ONE,
+        "ORB: pixels left out at each level's border.",
     ),
-    click.option(
+    _feature(
+        "patch_size",
         "--patch-size",
-        type=click.IntRange(min=5),
-        default=_FEATURES.patch_size,
-        show_default=True,
-        help="ORB: pixels that a descriptor compares.",
+        click.IntRange(min=5),
+        "ORB: side in pixels of the patch that a descriptor covers.",
     ),
-    click.option(
+    _feature(
+        "wta_k",
         "--wta-k",
-        type=click.IntRange(2, 4),
-        default=_FEATURES.wta_k,
-        show_default=True,
-        help="ORB: points compared for each element of a descriptor.",
+        click.IntRange(2, 4),
+        "ORB: points compared for each element of a descriptor.",
     ),
-    click.option(
-        "--fast-threshold",
-        type=click.IntRange(1, 255),
-        default=_FEATURES.fast_threshold,
-        show_default=True,
-        help="ORB: contrast of a corner.",
+    _feature(
+        "fast_threshold", "--fast-threshold", click.IntRange(1, 255), "ORB: contrast of a corner."
     ),
-    click.option(
+    _feature(
+        "min_fast_threshold",
         "--min-fast-threshold",
-        type=click.IntRange(1, 255),
-        default=_FEATURES.min_fast_threshold,
-        show_default=True,
-        help="ORB: tried when that finds too few.",
+        click.IntRange(1, 255),
+        "ORB: contrast of a corner where --fast-threshold finds too few.",
     ),
-    click.option(
-        "--contrast-threshold",
-        type=POSITIVE,
-        default=_FEATURES.contrast_threshold,
-        show_default=True,
-        help="SIFT: contrast of a point.",
-    ),
+    _feature("contrast_threshold", "--contrast-threshold", POSITIVE, "SIFT: contrast of a point."),
 )
-
-
-def networks_of(told: Mapping[str, Any]) -> NetworkFiles:
-    """Return what the flags say of networks."""
-    from slamcli.run.networks import NetworkFiles
-
-    return picked(NetworkFiles, told)

@@ -1,136 +1,97 @@
-"""What the mapper is bound to when it places frames."""
+"""Options of the mapper: registration of frames, keyframes, loop closure."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from functools import partial
 
 import click
 
-from slamcli.cli.options.common import picked, stacked
-from slamcli.cli.options.features import FEATURES
-from slamcli.cli.options.values import NOT_NEGATIVE, POSITIVE
-from slamcli.core.config import FeatureOptions, MapperOptions, MatchOptions
+from slamcli.cli.options.features import feature_kind
+from slamcli.cli.options.fields import option, stacked
+from slamcli.cli.options.values import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, SHARE
+from slamcli.core.config import MapperOptions
 
-_MAPPER = MapperOptions()
+_mapper = partial(option, MapperOptions())
+_HALF_TURN = click.FloatRange(0, 180)
 
 mapper_options = stacked(
-    click.option(
-        "--features",
-        "method",
-        type=click.Choice(FEATURES),
-        default=_MAPPER.features.method,
-        show_default=True,
-    ),
-    click.option(
-        "--count",
-        type=click.IntRange(min=1),
-        default=_MAPPER.features.count,
-        show_default=True,
-        help="Most features a frame.",
-    ),
-    click.option(
+    feature_kind(MapperOptions().features),
+    _mapper(
+        "metres_per_pixel",
         "--view-metres-per-pixel",
-        type=POSITIVE,
-        help="Resolution of the views that are matched. Default: from the camera's sampling.",
+        POSITIVE,
+        "Resolution of the bird's-eye views that are matched. Default: chosen from the camera's "
+        "sampling of the floor.",
     ),
-    click.option(
+    _mapper(
+        "recent_keyframes",
         "--recent-keyframes",
-        type=click.IntRange(min=1),
-        default=_MAPPER.recent_keyframes,
-        show_default=True,
-        help="How many keyframes back a frame is compared with.",
+        AT_LEAST_ONE,
+        "Number of latest keyframes that a frame is compared with.",
     ),
-    click.option(
+    _mapper(
+        "keyframe_overlap",
         "--keyframe-overlap",
-        type=click.FloatRange(0, 1),
-        default=_MAPPER.keyframe_overlap,
-        show_default=True,
-        help="A frame that shares less floor with the latest keyframe becomes one.",
+        SHARE,
+        "A frame that shares less floor than this with the latest keyframe becomes a keyframe.",
     ),
-    click.option(
+    _mapper(
+        "min_overlap",
         "--min-overlap",
-        type=click.FloatRange(0, 1),
-        default=_MAPPER.min_overlap,
-        show_default=True,
-        help="Least share of floor that a believed fit leaves in common.",
+        SHARE,
+        "Smallest share of floor in common for a fit to be accepted.",
     ),
-    click.option(
+    _mapper(
+        "max_turn_degrees",
         "--max-turn",
-        type=click.FloatRange(0, 180),
-        default=_MAPPER.max_turn_degrees,
-        show_default=True,
-        help="Degrees: most that the robot turns between two frames that are compared.",
+        _HALF_TURN,
+        "Degrees: largest turn between two frames that are compared.",
     ),
-    click.option(
+    _mapper(
+        "min_score",
         "--min-score",
-        type=click.FloatRange(-1, 1),
-        default=_MAPPER.min_score,
-        show_default=True,
-        help="Least correlation of the overlap's pixels for a fit to be believed.",
+        click.FloatRange(-1, 1),
+        "Smallest correlation of the overlap's pixels for a fit to be accepted.",
     ),
-    click.option(
+    _mapper(
+        "tilt_sigma_degrees",
         "--tilt-sigma",
-        type=NOT_NEGATIVE,
-        default=_MAPPER.tilt_sigma_degrees,
-        show_default=True,
-        help="Degrees by which the camera's pitch varies from frame to frame.",
+        NOT_NEGATIVE,
+        "Degrees by which the camera's pitch varies from frame to frame (one standard deviation).",
     ),
-    click.option(
+    _mapper(
+        "dense",
         "--dense/--no-dense",
-        default=_MAPPER.dense,
-        help="Search the pixels for the motion where features do not convince [default], or not.",
+        text="Search for the motion by correlation of pixels where features do not suffice.",
     ),
-    click.option(
+    _mapper(
+        "search_angle_degrees",
         "--search-angle",
-        type=click.FloatRange(0, 180),
-        default=_MAPPER.search_angle_degrees,
-        show_default=True,
-        help="Degrees of turn to either side that this search tries.",
+        _HALF_TURN,
+        "--dense: degrees of turn to either side that are searched.",
     ),
-    click.option(
+    _mapper(
+        "max_rival_evidence",
         "--max-rival",
-        type=click.FloatRange(0, 1),
-        default=_MAPPER.max_rival_evidence,
-        show_default=True,
-        help="A motion is ambiguous when another explains more than this share of what it does.",
+        SHARE,
+        "A motion is rejected as ambiguous when another one has more than this share of its "
+        "evidence.",
     ),
-    click.option(
-        "--max-step",
+    _mapper(
         "max_step_metres",
-        type=POSITIVE,
-        help="Metres; the farthest that the robot goes from one frame to the next. On a floor that "
-        "repeats, less than half its period tells which of its like spots is meant.",
+        "--max-step",
+        POSITIVE,
+        "Metres: largest distance from one frame to the next. On a floor with a repeating pattern "
+        "give less than half its period, which makes the motion unambiguous.",
     ),
-    click.option(
+    _mapper(
+        "loops",
         "--loops/--no-loops",
-        default=_MAPPER.loops,
-        help="Look for floor that was seen before [default], or take the frames as a chain.",
+        text="Loop closure and relocalisation: recognise floor that was mapped before.",
     ),
-    click.option(
+    _mapper(
+        "refine",
         "--refine-pixels/--no-refine-pixels",
-        default=_MAPPER.refine,
-        help="Refine each fit on the pixels themselves [default], or leave it to the features.",
+        text="Refine each fit on the pixels themselves (photometric refinement).",
     ),
 )
-
-
-def mapper_of(told: Mapping[str, Any]) -> MapperOptions:
-    """Return what the flags of a command that maps ask for."""
-    return MapperOptions(
-        features=picked(FeatureOptions, told),
-        matching=picked(MatchOptions, told),
-        metres_per_pixel=told["view_metres_per_pixel"],
-        recent_keyframes=told["recent_keyframes"],
-        keyframe_overlap=told["keyframe_overlap"],
-        min_overlap=told["min_overlap"],
-        max_turn_degrees=told["max_turn"],
-        min_score=told["min_score"],
-        tilt_sigma_degrees=told["tilt_sigma"],
-        refine=told["refine_pixels"],
-        dense=told["dense"],
-        search_angle_degrees=told["search_angle"],
-        max_rival_evidence=told["max_rival"],
-        max_step_metres=told["max_step_metres"],
-        loops=told["loops"],
-    )

@@ -1,73 +1,81 @@
-"""How points of two frames are paired, and what they must agree on."""
+"""Options of descriptor matching and of the fit to the matches (RANSAC)."""
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import click
 
-from slamcli.cli.options.common import seed, stacked
-from slamcli.cli.options.values import PATH, POSITIVE
-from slamcli.core.config import MatchOptions
+from slamcli.cli.options.common import seed
+from slamcli.cli.options.fields import Decorator, option, stacked
+from slamcli.cli.options.values import AT_LEAST_ONE, PATH, POSITIVE
+from slamcli.core.config import MatchOptions, NetworkFiles
 
-_MATCHING = MatchOptions()
+_match = partial(option, MatchOptions())
+_network = partial(option, NetworkFiles())
 
-match_details = stacked(
-    click.option(
+RATIO_TEXT = "Largest ratio of the best to the second-best distance (Lowe's ratio test)."
+
+
+def ratio(group: MatchOptions | str, text: str = RATIO_TEXT) -> Decorator[Any]:
+    """Return the --ratio option of a dataclass, or of the class of that name."""
+    return option(group, "ratio", "--ratio", click.FloatRange(0, 1, min_open=True), text)
+
+
+_pairing = stacked(
+    _network(
+        "matcher",
         "--matcher",
-        type=click.Choice(["nearest", "lightglue"]),
-        default="nearest",
-        show_default=True,
-        help="Pair points by the nearest descriptors, or ALIKED's and DISK's by LightGlue.",
+        click.Choice(["nearest", "lightglue"]),
+        "Match points by their nearest descriptors, or ALIKED's and DISK's by LightGlue.",
     ),
-    click.option(
-        "--matcher-weights", type=PATH, help="LightGlue: the network, an ONNX file that you have."
+    _network(
+        "matcher_weights",
+        "--matcher-weights",
+        PATH,
+        "LightGlue: the network, an ONNX file of your own.",
     ),
-    click.option(
+    _match(
+        "filter",
         "--filter",
-        type=click.Choice(["ratio", "cross-check"]),
-        default=_MATCHING.filter,
-        show_default=True,
-        help="Keep matches better than the second best, or that are each other's best.",
+        click.Choice(["ratio", "cross-check"]),
+        "Keep matches better than the second best (see --ratio), or mutually best ones.",
     ),
-    click.option(
-        "--ratio",
-        type=click.FloatRange(0, 1, min_open=True),
-        help="Largest ratio of the best to the second-best distance. "
-        f"Default: {_MATCHING.ratio}, on plain pictures 0.8.",
-    ),
-    click.option(
-        "--max-size-ratio",
-        type=click.FloatRange(min=1),
-        default=_MATCHING.max_size_ratio,
-        show_default=True,
-        help="Rigid fits: largest ratio of the sizes of two points that match.",
-    ),
-    click.option("--max-distance", type=POSITIVE, help="Largest distance of two descriptors."),
-    click.option(
-        "--threshold",
-        type=POSITIVE,
-        help="Largest residual of an inlier: metres, or pixels without a calibration. "
-        "Default: from how well each point is known.",
-    ),
-    click.option(
-        "--confidence",
-        type=click.FloatRange(0, 1, min_open=True, max_open=True),
-        default=_MATCHING.confidence,
-        show_default=True,
-        help="RANSAC stops when it has drawn a clean sample with this probability.",
-    ),
-    click.option(
-        "--max-iterations",
-        type=click.IntRange(min=1),
-        default=_MATCHING.max_iterations,
-        show_default=True,
-        help="Most samples that RANSAC draws.",
-    ),
-    click.option(
-        "--min-inliers",
-        type=click.IntRange(min=2),
-        default=_MATCHING.min_inliers,
-        show_default=True,
-        help="Fewest matches that must agree.",
-    ),
-    seed,
 )
+
+_fitting = stacked(
+    _match(
+        "max_size_ratio",
+        "--max-size-ratio",
+        click.FloatRange(min=1),
+        "Rigid fits: largest ratio of the sizes of two points that match.",
+    ),
+    _match(
+        "max_distance",
+        "--max-distance",
+        POSITIVE,
+        "Largest distance of two descriptors that match.",
+    ),
+    _match(
+        "threshold",
+        "--threshold",
+        POSITIVE,
+        "Largest residual of an inlier: metres, or pixels without a calibration. Default: from "
+        "each point's uncertainty.",
+    ),
+    _match(
+        "confidence",
+        "--confidence",
+        click.FloatRange(0, 1, min_open=True, max_open=True),
+        "RANSAC: stop at this probability of having drawn a sample without outliers.",
+    ),
+    _match("max_iterations", "--max-iterations", AT_LEAST_ONE, "RANSAC: most samples drawn."),
+    _match("min_inliers", "--min-inliers", click.IntRange(min=2), "Fewest inliers of a fit."),
+    seed(MatchOptions()),
+)
+
+
+def matching_details(ratio: Decorator[Any]) -> Decorator[Any]:
+    """Return the options of matching, with the --ratio of one command."""
+    return stacked(_pairing, ratio, _fitting)

@@ -1,104 +1,89 @@
-"""What is painted and written, and in which forms."""
+"""Options of the map that is painted and of the files that are written."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import click
 
-from slamcli.cli.options.common import metres_per_pixel, stacked
-from slamcli.cli.options.values import POSITIVE, Bytes, Choices, Reals
-from slamcli.core.config import Datum, PaintOptions, ProductOptions
+from slamcli.cli.options.common import metres_per_pixel
+from slamcli.cli.options.fields import option, stacked
+from slamcli.cli.options.values import POSITIVE, Bytes, Degrees, Numbers, Words
+from slamcli.core.config import Datum, ProductOptions
 
-_PRODUCTS = ProductOptions()
+_product = partial(option, ProductOptions())
+_paint = partial(option, ProductOptions().paint)
+
+
+def _datum(_context: Any, _option: Any, value: tuple[float, ...] | None) -> Datum | None:
+    """Return the datum of latitude, longitude and, where it is given, heading in degrees."""
+    return Datum(*value[:2], *map(math.radians, value[2:])) if value else None
+
 
 product_options = stacked(
     metres_per_pixel,
-    click.option(
+    _paint(
+        "blend",
         "--blend",
-        type=click.Choice(["best", "feather", "multiband", "median", "mean"]),
-        default=_PRODUCTS.paint.blend,
-        show_default=True,
-        help="How the views of a spot become one: best takes the sharpest and hides the seams.",
+        click.Choice(["best", "feather", "multiband", "median", "mean"]),
+        "How several views of one spot are blended; best takes the sharpest and hides the seams.",
     ),
-    click.option(
-        "--gain/--no-gain",
-        default=_PRODUCTS.paint.gain,
-        help="Even out exposure and vignetting [default], or paint pictures as they are.",
-    ),
-    click.option(
+    _paint("gain", "--gain/--no-gain", text="Even out exposure and vignetting."),
+    _paint(
+        "obstacles",
         "--obstacles/--no-obstacles",
-        default=_PRODUCTS.paint.obstacles,
-        help="Keep what is not floor out of the map, in obstacles.png [default], or not.",
+        text="Keep obstacles on the floor out of the map, in obstacles.png.",
     ),
-    click.option(
-        "--format",
+    _product(
         "formats",
-        type=Choices(("png", "geotiff", "deepzoom", "nav2")),
-        default="png",
-        show_default=True,
-        help="Of the map, separated by commas: png, geotiff, deepzoom, nav2.",
+        "--format",
+        Words("png", "geotiff", "deepzoom", "nav2"),
+        "File formats of the map, separated by commas: png, geotiff, deepzoom, nav2.",
     ),
-    click.option(
+    _product(
+        "layers",
         "--layers",
-        type=Choices(("resolution", "views", "last-frame")),
-        default="",
-        help="Also write for every pixel, separated by commas: resolution, views, last-frame.",
+        Words("resolution", "views", "last-frame"),
+        "Also write for every pixel, separated by commas: resolution, views (their number), "
+        "last-frame.",
     ),
-    click.option(
-        "--nav-lines", is_flag=True, help="Nav2: painted lines are obstacles, not what stands."
+    _product(
+        "nav_lines",
+        "--nav-lines",
+        text="Nav2: mark painted lines as occupied, in place of obstacles.",
     ),
-    click.option(
+    _product(
+        "nav_metres_per_pixel",
         "--nav-resolution",
-        type=POSITIVE,
-        default=_PRODUCTS.nav_metres_per_pixel,
-        show_default=True,
-        help="Nav2: metres a pixel, at most.",
+        POSITIVE,
+        "Nav2: metres per pixel of the occupancy grid, at most; never finer than the map.",
     ),
-    click.option(
-        "--rotate", type=float, default=0.0, show_default=True, help="Degrees counter-clockwise."
+    _product(
+        "turn_radians",
+        "--rotate",
+        Degrees(),
+        "Degrees by which the map is rotated, counter-clockwise.",
     ),
-    click.option(
+    _product(
+        "crop",
         "--crop",
-        type=Reals((4,), "x_min,y_min,x_max,y_max"),
-        help="Paint only x_min,y_min,x_max,y_max, metres in the rotated map.",
+        Numbers("x_min,y_min,x_max,y_max", 4),
+        "Paint only x_min,y_min,x_max,y_max, metres in the rotated map.",
     ),
-    click.option(
+    _product(
+        "datum",
         "--datum",
-        type=Reals((2, 3), "latitude,longitude[,heading]"),
-        help="GeoTIFF: latitude,longitude of the map's origin and, counter-clockwise from east, "
-        "the heading of its x axis, degrees.",
+        Numbers("latitude,longitude[,heading]", 2, 3),
+        "GeoTIFF: latitude,longitude of the map's origin and the heading of its x axis, "
+        "counter-clockwise from east, in degrees.",
+        callback=_datum,
     ),
-    click.option(
+    _product(
+        "memory_bytes",
         "--memory",
-        type=Bytes(),
-        default="1.4G",
-        show_default=True,
-        help="FrameCache and canvases get what the poses leave of it; the map may be larger.",
+        Bytes(),
+        "Memory of the whole process; the map may be larger than it.",
     ),
 )
-
-
-def products_of(told: Mapping[str, Any]) -> ProductOptions:
-    """Return what the flags of `product_options` ask for."""
-    datum = told["datum"]
-    return ProductOptions(
-        paint=PaintOptions(
-            metres_per_pixel=told["metres_per_pixel"],
-            blend=told["blend"],
-            gain=told["gain"],
-            obstacles=told["obstacles"],
-        ),
-        formats=told["formats"],
-        layers=told["layers"],
-        nav_lines=told["nav_lines"],
-        nav_metres_per_pixel=told["nav_resolution"],
-        turn_radians=math.radians(told["rotate"]),
-        crop=told["crop"],
-        memory_bytes=told["memory"],
-        datum=None
-        if datum is None
-        else Datum(datum[0], datum[1], math.radians(datum[2] if len(datum) > 2 else 0.0)),
-    )

@@ -1,140 +1,141 @@
-"""A simulated world: its camera, what disturbs it, its floor and the way over it."""
+"""Options of a simulated drive: its camera, disturbances, floor and path."""
 
 from __future__ import annotations
 
+from functools import partial
+
 import click
 
-from slamcli.cli.options.common import stacked
-from slamcli.cli.options.values import NOT_NEGATIVE, POSITIVE, Size
+from slamcli.cli.options.common import seed
+from slamcli.cli.options.features import SIZE
+from slamcli.cli.options.fields import option, stacked
+from slamcli.cli.options.values import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, SHARE
+from slamcli.simulation.config import SimulationOptions
 
-camera_options = stacked(
-    click.option("--size", type=Size(), default="640x480", show_default=True),
-    click.option("--height", type=POSITIVE, default=0.3, show_default=True, help="Metres."),
-    click.option(
-        "--pitch",
-        type=click.FloatRange(1, 90),
-        default=38.0,
-        show_default=True,
-        help="Degrees below the horizontal.",
-    ),
-    click.option(
-        "--roll",
-        type=click.FloatRange(-45, 45),
-        default=0.0,
-        show_default=True,
-        help="Degrees, right side down.",
-    ),
-    click.option(
-        "--field-of-view",
-        type=click.FloatRange(5, 150),
-        default=62.0,
-        show_default=True,
-        help="Degrees across the picture's width.",
-    ),
-    click.option("--k1", type=float, default=0.0, show_default=True, help="Radial distortion."),
-    click.option("--k2", type=float, default=0.0, show_default=True, help="Radial distortion."),
-)
-
-disturbance_options = stacked(
-    click.option("--noise", type=NOT_NEGATIVE, default=2.0, show_default=True, help="Gray levels."),
-    click.option(
-        "--motion-blur",
-        type=click.FloatRange(0, 1),
-        default=0.0,
-        show_default=True,
-        help="Share of a step that the shutter is open for.",
-    ),
-    click.option(
-        "--flicker",
-        type=click.FloatRange(0, 0.95),
-        default=0.0,
-        show_default=True,
-        help="Largest change of exposure, as a share.",
-    ),
-    click.option(
-        "--vignetting",
-        type=click.FloatRange(0, 1),
-        default=0.15,
-        show_default=True,
-        help="Share of the brightness lost in the corners.",
-    ),
-    click.option(
-        "--rocking",
-        type=NOT_NEGATIVE,
-        default=0.0,
-        show_default=True,
-        help="Degrees by which pitch and roll vary from frame to frame (one sigma).",
-    ),
-    click.option(
-        "--bounce",
-        type=NOT_NEGATIVE,
-        default=0.0,
-        show_default=True,
-        help="Metres by which the height varies from frame to frame (one sigma).",
-    ),
-    click.option(
-        "--boxes",
-        type=click.IntRange(min=0),
-        default=0,
-        show_default=True,
-        help="Things that stand on the floor along the way; every third one moves.",
-    ),
-    click.option(
-        "--walkers",
-        type=click.IntRange(min=0),
-        default=0,
-        show_default=True,
-        help="Pairs of legs that cross the view.",
-    ),
-)
+_drive = partial(option, SimulationOptions())
+_camera = partial(option, SimulationOptions().camera)
+_disturbance = partial(option, SimulationOptions().disturbances)
+_NUMBER = click.IntRange(min=0)
 
 floor_options = stacked(
-    click.option(
+    _drive(
+        "floor",
         "--floor",
-        default="asphalt",
-        show_default=True,
-        help="asphalt, bare, carpet, concrete, course, planks, terrazzo, tiles, or a picture.",
+        text="asphalt, bare, carpet, concrete, course, planks, terrazzo, tiles, or a picture file.",
     ),
-    click.option(
+    _drive(
+        "floor_metres_per_pixel",
         "--floor-metres-per-pixel",
-        type=POSITIVE,
-        default=0.001,
-        show_default=True,
-        help="Of a picture given as the floor.",
+        POSITIVE,
+        "Resolution of a picture given as --floor.",
     ),
-    click.option(
+    _drive(
+        "wear",
         "--wear",
-        type=click.FloatRange(0, 1),
-        default=0.5,
-        show_default=True,
-        help="How scuffed the floor is; 0: a course in pure black and white, all tiles alike.",
+        SHARE,
+        "How worn the floor is; at 0 a course is pure black and white, and all tiles are alike.",
     ),
-    click.option(
+    _drive(
+        "room_metres",
         "--room",
-        type=NOT_NEGATIVE,
-        default=0.0,
-        show_default=True,
-        help="Metres; side of a square room whose walls the camera sees; 0 is none.",
+        NOT_NEGATIVE,
+        "Metres: side of a square room whose walls the camera sees; 0 is no room.",
     ),
 )
 
 path_options = stacked(
-    click.option(
+    _drive(
+        "path",
         "--path",
-        default="loop",
-        show_default=True,
-        help="line, loop, lawnmower, drift, or a CSV of poses with columns x, y, heading.",
+        text="line, loop, lawnmower, drift (a loop with free heading), or a CSV of poses with "
+        "columns x, y, heading.",
     ),
-    click.option(
-        "--length", type=POSITIVE, default=8.0, show_default=True, help="Metres of the way."
+    _drive("length_metres", "--length", POSITIVE, "Metres: length of the path."),
+    _drive("frames", "--frames", AT_LEAST_ONE, "Number of frames."),
+    _drive("frame_rate_hertz", "--frame-rate", POSITIVE, "Frames per second."),
+    _drive("lane_metres", "--lane", POSITIVE, "Metres: distance between a lawnmower's lanes."),
+)
+
+camera_options = stacked(
+    _camera("size", "--size", SIZE, "Width and height of a frame, in pixels."),
+    _camera("height_metres", "--height", POSITIVE, "Metres: the camera's height over the floor."),
+    _camera(
+        "pitch_degrees",
+        "--pitch",
+        click.FloatRange(1, 90),
+        "Degrees: the camera's pitch below the horizontal.",
     ),
-    click.option("--frames", type=click.IntRange(min=1), default=100, show_default=True),
-    click.option("--frame-rate", type=POSITIVE, default=10.0, show_default=True),
-    click.option(
-        "--lane",
-        type=POSITIVE,
-        default=0.6,
-        show_default=True,
-        help="Metres between the lawnmower's lanes.",
+    _camera(
+        "roll_degrees",
+        "--roll",
+        click.FloatRange(-45, 45),
+        "Degrees: the camera's roll, right side down.",
+    ),
+    _camera(
+        "field_of_view_degrees",
+        "--field-of-view",
+        click.FloatRange(5, 150),
+        "Degrees: field of view across the picture's width.",
+    ),
+    _camera("k1", "--k1", text="Radial distortion of the lens, r^2."),
+    _camera("k2", "--k2", text="Radial distortion of the lens, r^4."),
+)
+
+disturbance_options = stacked(
+    _disturbance(
+        "noise_gray",
+        "--noise",
+        NOT_NEGATIVE,
+        "Gray levels: standard deviation of each pixel's noise.",
+    ),
+    _disturbance(
+        "motion_blur",
+        "--motion-blur",
+        SHARE,
+        "Share of the time between two frames that the shutter is open for.",
+    ),
+    _disturbance(
+        "flicker", "--flicker", click.FloatRange(0, 0.95), "Largest change of exposure, as a share."
+    ),
+    _disturbance(
+        "vignetting", "--vignetting", SHARE, "Share of the brightness lost in the corners."
+    ),
+    _disturbance(
+        "rocking_degrees",
+        "--rocking",
+        NOT_NEGATIVE,
+        "Degrees: standard deviation of pitch and roll from frame to frame.",
+    ),
+    _disturbance(
+        "bounce_metres",
+        "--bounce",
+        NOT_NEGATIVE,
+        "Metres: standard deviation of the camera's height from frame to frame.",
+    ),
+    _disturbance(
+        "boxes",
+        "--boxes",
+        _NUMBER,
+        "Number of boxes that stand on the floor along the path; every third one moves.",
+    ),
+    _disturbance(
+        "walkers", "--walkers", _NUMBER, "Number of pairs of legs that walk through the view."
     ),
 )
+
+output_options = stacked(
+    _drive(
+        "square_side_metres",
+        "--square-side",
+        POSITIVE,
+        "Metres: side of the calibration square in square.png.",
+    ),
+    _drive(
+        "jpeg_quality",
+        "--jpeg-quality",
+        click.IntRange(1, 100),
+        "Quality of the frames' JPEG files.",
+    ),
+)
+
+seed_option = seed(SimulationOptions())

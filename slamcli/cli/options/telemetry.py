@@ -1,64 +1,58 @@
-"""Readings of the robot's other senses."""
+"""Options of odometry, compass and GPS."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from functools import partial
 
 import click
 
-from slamcli.cli.options.common import stacked
-from slamcli.cli.options.values import PATH, POSITIVE, Measured
+from slamcli.cli.options.fields import option, stacked
+from slamcli.cli.options.values import PATH, POSITIVE, Numbers
 from slamcli.core.telemetry import TelemetryOptions
 
+_file = partial(option, "TelemetryFiles")
 _TELEMETRY = TelemetryOptions()
+_SECONDS = Numbers("SECONDS|auto", 1, auto=True)
 
 telemetry_options = stacked(
-    click.option(
+    _file(
+        "odometry",
         "--odometry",
-        type=PATH,
-        help="The robot's odometry: CSV with stamp (s), x, y (m), heading (rad), or TUM. It "
-        "carries the robot over floor that shows nothing.",
+        PATH,
+        "Odometry: CSV with stamp (s), x, y (m), heading (rad), or a TUM file. It gives poses "
+        "where the floor shows no detail.",
     ),
-    click.option(
+    _file(
+        "compass",
         "--compass",
-        type=PATH,
-        help="Headings: CSV with stamp and heading (rad from east) or bearing (from north).",
+        PATH,
+        "Headings: CSV with stamp and heading (rad from east) or bearing (from north).",
     ),
-    click.option(
+    _file(
+        "gps",
         "--gps",
-        type=PATH,
-        help="Places: CSV with stamp, latitude, longitude (WGS84). Needs slamcli[geo].",
+        PATH,
+        "GPS positions: CSV with stamp, latitude, longitude (WGS84). Needs slamcli[geo].",
     ),
-    click.option(
+    click.option(  # of two dataclasses: auto is of TelemetryFiles
         "--time-offset",
-        type=Measured(1, "SECONDS|auto"),
-        default="0",
+        type=_SECONDS,
+        default=_SECONDS.text((_TELEMETRY.time_offset_seconds,)),
         show_default=True,
-        help="Added to the readings' stamps to get the frames'. auto finds it from odometry.",
+        help="Added to the readings' stamps to get the frames'; auto estimates it from odometry.",
     ),
-    click.option(
+    option(
+        _TELEMETRY,
+        "lever_arm_metres",
         "--lever-arm",
-        type=Measured(2, "AHEAD,LEFT|auto"),
-        default="0,0",
-        show_default=True,
-        help="Metres from the robot's origin to the GPS antenna. auto estimates it.",
+        Numbers("AHEAD,LEFT|auto", 2, auto=True),
+        "Metres from the robot's origin to the GPS antenna; auto estimates them.",
     ),
-    click.option(
+    option(
+        _TELEMETRY,
+        "odometry_distance_share",
         "--odometry-sigma",
-        type=POSITIVE,
-        default=_TELEMETRY.odometry_distance_share,
-        show_default=True,
-        help="One standard deviation of odometry's distances, as a share of them.",
+        POSITIVE,
+        "Standard deviation of odometry's distances, as a share of them.",
     ),
 )
-
-
-def telemetry_of(told: Mapping[str, Any]) -> TelemetryOptions:
-    """Return what the flags of a command that takes readings ask for."""
-    offset = told["time_offset"]
-    return TelemetryOptions(
-        time_offset_seconds=0.0 if offset is None else offset[0],
-        lever_arm_metres=told["lever_arm"],
-        odometry_distance_share=told["odometry_sigma"],
-    )

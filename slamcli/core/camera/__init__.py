@@ -1,1 +1,1 @@
-"""The camera over the floor: its calibration, its projection both ways, its mounting."""
+"""The camera over a flat floor: calibration, lens, projection, footprint and resolution."""

@@ -1,20 +1,28 @@
-"""A camera over a flat floor: its lens, and where it is mounted."""
+"""The calibration: a camera's lens, and where it is mounted over a flat floor."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Literal
+from functools import lru_cache
+from typing import Final, Literal
+
+import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.geometry import invert
+from slamcli.core.geometry import Grid, invert
 
 DistortionModel = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 Unit = Literal["m", "px"]
 
+# Of how many calibrations each thing that follows from one is kept: those of a run, and of the
+# frames that are being registered or painted.
+CACHED_CALIBRATIONS: Final = 8
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """A camera over a flat floor.
+    """A camera mounted over a flat floor: its lens, and the homography to the floor.
 
     The robot frame lies on the floor straight below the camera: x ahead (the floor projection of
     the optical axis), y left, z up (ROS REP 103).
@@ -62,8 +70,15 @@ class Calibration:
 
     @property
     def image_from_robot(self) -> Float64Array:
-        """(3, 3): floor metres to undistorted pixel; w > 0 in front of the camera."""
-        return invert(self.robot_from_image)
+        """(3, 3): floor metres to undistorted pixel; w > 0 in front of the camera; read-only."""
+        return _image_from_robot(self)
+
+
+@lru_cache(maxsize=CACHED_CALIBRATIONS)
+def _image_from_robot(calibration: Calibration) -> Float64Array:
+    inverse = invert(calibration.robot_from_image)
+    inverse.setflags(write=False)
+    return inverse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +104,7 @@ class Intrinsics:
 
 @dataclass(frozen=True, slots=True)
 class Rocking:
-    """By how much the camera of one frame stood differently from the calibration.
+    """The pitch, roll and height of one frame's camera relative to the calibration.
 
     Attributes
     ----------
@@ -100,3 +115,27 @@ class Rocking:
     pitch_radians: float = 0.0
     roll_radians: float = 0.0
     height_metres: float = 0.0
+
+
+def top_down_calibration(image_size: tuple[int, int]) -> Calibration:
+    """Return the calibration of frames taken straight down without one, in pixel units.
+
+    The robot frame has its origin at the image's centre, x to the right and y up.
+    """
+    width, height = image_size
+    centre = Grid(0.0, 0.0, 1.0, width, height).pixel_from_metres @ (width / 2, -height / 2, 1.0)
+    robot_from_image = np.array([[1.0, 0.0, -centre[0]], [0.0, -1.0, centre[1]], [0.0, 0.0, 1.0]])
+    return Calibration(
+        camera_matrix=np.array(
+            [[max(image_size), 0.0, centre[0]], [0.0, max(image_size), centre[1]], [0.0, 0.0, 1.0]]
+        ),
+        distortion=np.zeros(5),
+        distortion_model="plumb_bob",
+        image_size=image_size,
+        robot_from_image=robot_from_image,
+        height_metres=math.nan,
+        pitch_radians=math.nan,
+        roll_radians=math.nan,
+        max_range_metres=math.hypot(width, height),
+        unit="px",
+    )

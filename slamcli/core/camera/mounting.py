@@ -1,4 +1,4 @@
-"""How a camera that stands over the floor sees it: three numbers to a homography, and back."""
+"""The mounting: height, pitch and roll of a camera to the homography between floor and picture."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def compose_robot_from_image(
 
 
 def rocked(calibration: Calibration, rocking: Rocking) -> Calibration:
-    """Return the calibration of one frame, whose camera stood differently by so much."""
+    """Return the calibration of one frame, moved by its pitch, roll and height."""
     height = calibration.height_metres + rocking.height_metres
     pitch = calibration.pitch_radians + rocking.pitch_radians
     roll = calibration.roll_radians + rocking.roll_radians

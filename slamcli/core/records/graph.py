@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 from slamcli.core.arrays import Float64Array
@@ -105,6 +106,8 @@ class FloorMap:
         One for every frame, in order.
     links : tuple of Link
         Between them; odometry's too.
+    sources : tuple of Path
+        Folders and files that the frames were read from, in their order; empty where not recorded.
     """
 
     calibration: Calibration
@@ -114,3 +117,4 @@ class FloorMap:
     keyframes: tuple[Keyframe, ...]
     estimates: tuple[PoseEstimate, ...]
     links: tuple[Link, ...]
+    sources: tuple[Path, ...] = ()

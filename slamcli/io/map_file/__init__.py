@@ -1,9 +1,13 @@
-"""map.slam: what it takes to find oneself in a finished map, in one file that is safe to open.
+"""map.slam: a finished map in one file that is safe to open, to locate in, to extend, to render.
 
 A line of text that names format and version; the SHA-256 of all that follows; the length of a JSON
 header; the header; and the arrays that it lists, little-endian, one after another. Nothing in it is
 ever executed or unpacked to a size that the file does not have, and every number is checked before
 it is used.
+
+Version 2 has the calibration, every frame's pose and all links; version 3 also has the folders and
+files of the frames, and may have no keyframes: a map made with learned features, whose network a
+file cannot bring with it, can be rendered but not located in.
 """
 
 from __future__ import annotations
@@ -11,8 +15,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
@@ -20,69 +22,54 @@ import numpy as np
 
 from slamcli.core.arrays import AnyArray
 from slamcli.core.errors import InputError, MapError
-from slamcli.core.records import (
-    DescriptorNorm,
-    Features,
-    FloorMap,
-    Keyframe,
-    PoseEstimate,
-)
+from slamcli.core.records import DescriptorNorm, FloorMap
+from slamcli.io import calibration_codec
+from slamcli.io.calibration_codec import MAX_METRES
+from slamcli.io.checks import FieldError, check_number, check_word
 from slamcli.io.files import write_bytes
 from slamcli.io.map_file.header import (
-    MAX_METRES,
-    MAX_POINTS,
-    calibration_header,
-    parse_calibration,
+    features_header,
     parse_features,
-    parse_number,
-    parse_word,
+    parse_sources,
+    sources_header,
 )
-from slamcli.io.map_file.pose_graph import DRIVE_KINDS, drive_arrays, expect, parse_drive
+from slamcli.io.map_file.keyframes import (
+    DESCRIPTOR_TYPES,
+    KEYFRAME_TYPES,
+    features_norm,
+    keyframe_arrays,
+    parse_keyframes,
+)
+from slamcli.io.map_file.pose_graph import DRIVE_KINDS, drive_arrays, parse_drive
 
 MAP_NAME = "map.slam"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
+_READABLE_VERSIONS = ("2", "3")
 _MAGIC = b"slamcli map "
 _DIGEST_BYTES = 32
 _LENGTH_BYTES = 8
 _MAX_BYTES = 16 * 2**30
-_MAX_KEYFRAMES = 2_000_000
-_KINDS = {
-    **DRIVE_KINDS,
-    "rows": "<i8",
-    "points": "<f4",
-    "scores": "<f4",
-    "sigmas": "<f4",
-    "sizes": "<f4",
-    "angles": "<f4",
-    "descriptors": "",
-    "pictures": "|u1",
-}
-# Of each row: index, and how many points, and bytes of picture and mask it has.
-_ROW_COLUMNS = 4
+_ARRAY_TYPES = {**DRIVE_KINDS, **KEYFRAME_TYPES}
 
 
 def save_map(path: Path, floor_map: FloorMap) -> None:
-    """Write a map whole or not at all; `load_map` returns the same."""
-    keyframes = floor_map.keyframes
-    rows = [(k.index, len(k.features), len(k.image), len(k.mask)) for k in keyframes]
-    every = [keyframe.features for keyframe in keyframes]
-    arrays: dict[str, AnyArray] = {
+    """Write a map whole or not at all; `load_map` returns the same.
+
+    Of a map made with learned features the keyframes are left out: without the network, which is
+    not stored, nothing could be compared with them.
+    """
+    keyframes = floor_map.keyframes if floor_map.features.network is None else ()
+    arrays = {
         **drive_arrays(floor_map.estimates, floor_map.links),
-        "rows": np.array(rows, "<i8").reshape(-1, _ROW_COLUMNS),
-        "points": _joined([f.points for f in every], "<f4"),
-        "scores": _joined([f.scores for f in every], "<f4"),
-        "sigmas": _joined([f.sigmas for f in every], "<f4"),
-        "sizes": _joined([f.sizes for f in every], "<f4"),
-        "angles": _joined([f.angles for f in every], "<f4"),
-        "descriptors": _joined([f.descriptors for f in every], every[0].descriptors.dtype),
-        "pictures": np.frombuffer(b"".join(k.image + k.mask for k in keyframes), "|u1"),
+        **keyframe_arrays(keyframes),
     }
     header = {
-        "calibration": calibration_header(floor_map.calibration),
-        "features": asdict(floor_map.features),
+        "calibration": calibration_codec.to_dict(floor_map.calibration),
+        "features": features_header(floor_map.features),
         "metres_per_pixel": floor_map.metres_per_pixel,
         "tilt_sigma_degrees": floor_map.tilt_sigma_degrees,
-        "norm": every[0].norm,
+        "norm": features_norm(keyframes),
+        "sources": sources_header(floor_map.sources),
         "arrays": {name: [a.dtype.str, list(a.shape)] for name, a in arrays.items()},
     }
     text = json.dumps(header, sort_keys=True, allow_nan=False).encode()
@@ -97,8 +84,13 @@ def save_map(path: Path, floor_map: FloorMap) -> None:
     write_bytes(path, first_line + hashlib.sha256(body).digest() + body)
 
 
-def load_map(path: str | Path) -> FloorMap:
+def load_map(path: str | Path, *, for_locating: bool = True) -> FloorMap:
     """Return the map in a file, or in a folder that `slam stitch` wrote.
+
+    Parameters
+    ----------
+    for_locating : bool
+        Refuse a map without keyframes, in which no frame can be located.
 
     Raises
     ------
@@ -109,11 +101,22 @@ def load_map(path: str | Path) -> FloorMap:
     file = path / MAP_NAME if path.is_dir() else path
     body = _read_body(file)
     try:
-        return _parse(body)
-    except MapError as error:
-        raise MapError(f"{file}: {error}") from error
+        floor_map = _parse(body)
+    except (FieldError, MapError) as error:
+        raise MapError(f"{file}: {_as_sentence(error)}") from error
     except (InputError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise MapError(f"{file} is not a sound map: {' '.join(str(error).split())}") from error
+    if for_locating and not floor_map.keyframes:
+        raise MapError(
+            f"{file} was made with {floor_map.features.method.upper()} features, which a map does "
+            "not store: it can be rendered, but no frame can be located in it or added to it; "
+            "stitch again with --features orb or sift"
+        )
+    return floor_map
+
+
+def _as_sentence(error: Exception) -> str:
+    return f"its {error}" if isinstance(error, FieldError) else str(error)
 
 
 def _read_body(file: Path) -> bytes:
@@ -130,10 +133,10 @@ def _read_body(file: Path) -> bytes:
     if not line.startswith(_MAGIC):
         raise MapError(f"{file} is not a map; slam stitch writes one, {MAP_NAME}")
     version = line.removeprefix(_MAGIC).decode("ascii", "replace")
-    if version != str(FORMAT_VERSION):
+    if version not in _READABLE_VERSIONS:
         raise MapError(
-            f"{file} has format version {version}; this slamcli reads {FORMAT_VERSION}: "
-            "stitch the frames again"
+            f"{file} has format version {version}; this slamcli reads "
+            f"{' and '.join(_READABLE_VERSIONS)}: stitch the frames again"
         )
     start = len(line) + 1
     digest, body = data[start : start + _DIGEST_BYTES], data[start + _DIGEST_BYTES :]
@@ -151,18 +154,19 @@ def _parse(body: bytes) -> FloorMap:
     if not isinstance(header, dict):
         raise MapError("its header is no table")
     features = parse_features(header["features"])
-    norm = parse_word(header["norm"], get_args(DescriptorNorm), "norm")
+    norm = check_word(header["norm"], "norm", get_args(DescriptorNorm))
+    scale, tilt = header["metres_per_pixel"], header["tilt_sigma_degrees"]
     arrays = _parse_arrays(header["arrays"], memoryview(body)[end:])
     estimates, links = parse_drive(arrays)
-    keyframes = _parse_keyframes(arrays, norm, {e.index: e for e in estimates})
     return FloorMap(
-        parse_calibration(header["calibration"]),
+        calibration_codec.from_dict(header["calibration"]),
         features,
-        parse_number(header["metres_per_pixel"], "metres_per_pixel", 1e-9, MAX_METRES),
-        parse_number(header["tilt_sigma_degrees"], "tilt_sigma_degrees", 0.0, 90.0),
-        keyframes,
+        check_number(scale, "metres_per_pixel", 1e-9, MAX_METRES),
+        check_number(tilt, "tilt_sigma_degrees", 0.0, 90.0),
+        parse_keyframes(arrays, norm, {e.index: e for e in estimates}),
         estimates,
         links,
+        parse_sources(header.get("sources", [])),
     )
 
 
@@ -170,9 +174,9 @@ def _parse_arrays(listed: Any, data: memoryview) -> dict[str, AnyArray]:
     """Cut the arrays out of the data, which they must fill exactly."""
     arrays: dict[str, AnyArray] = {}
     at = 0
-    for name, known in _KINDS.items():
+    for name, known in _ARRAY_TYPES.items():
         kind, shape = listed[name]
-        if kind != known and (known or kind not in {"|u1", "<f4"}):
+        if kind != known and (known or kind not in DESCRIPTOR_TYPES):
             raise MapError(f"its {name} are of kind {kind!r}")
         if not all(type(n) is int and 0 <= n <= _MAX_BYTES for n in shape) or len(shape) > 3:
             raise MapError(f"its {name} have shape {shape}")
@@ -185,83 +189,3 @@ def _parse_arrays(listed: Any, data: memoryview) -> dict[str, AnyArray]:
     if at != len(data):
         raise MapError("it goes on after its end")
     return arrays
-
-
-def _parse_keyframes(
-    arrays: dict[str, AnyArray], norm: DescriptorNorm, frames: Mapping[int, PoseEstimate]
-) -> tuple[Keyframe, ...]:
-    _check_shapes(arrays, norm)
-    rows, points = arrays["rows"], arrays["points"]
-    descriptors = arrays["descriptors"]
-    _check_numbers(arrays)
-    pictures = arrays["pictures"].tobytes()
-    ends = np.cumsum(rows, axis=0)
-    keyframes = []
-    for place, (index, held, image_bytes, mask_bytes) in enumerate(rows.tolist()):
-        frame = frames.get(index)
-        if frame is None or frame.map_from_robot is None:
-            raise MapError(f"its keyframe {index} has no pose")
-        mine = slice(int(ends[place, 1]) - held, int(ends[place, 1]))
-        picture = int(ends[place, 2] + ends[place, 3]) - image_bytes - mask_bytes
-        features = Features(
-            points[mine],
-            descriptors[mine],
-            arrays["scores"][mine],
-            arrays["sigmas"][mine],
-            arrays["sizes"][mine],
-            arrays["angles"][mine],
-            norm,
-        )
-        keyframe = Keyframe(
-            index,
-            frame.name,
-            frame.stamp,
-            features,
-            pictures[picture : picture + image_bytes],
-            pictures[picture + image_bytes : picture + image_bytes + mask_bytes],
-        )
-        keyframes.append(keyframe)
-    return tuple(keyframes)
-
-
-def _check_shapes(arrays: dict[str, AnyArray], norm: DescriptorNorm) -> None:
-    """Refuse arrays that do not fit one another."""
-    rows, points = arrays["rows"], arrays["points"]
-    count, total = len(rows), len(points)
-    expect(arrays, "rows", (count, _ROW_COLUMNS))
-    for name in ("points", "sigmas"):
-        expect(arrays, name, (total, 2))
-    for name in ("scores", "sizes", "angles"):
-        expect(arrays, name, (total,))
-    descriptors = arrays["descriptors"]
-    if descriptors.ndim != 2 or len(descriptors) != total or not 1 <= descriptors.shape[1] <= 4096:
-        raise MapError(f"its descriptors have shape {descriptors.shape}")
-    if norm != "l2" and descriptors.dtype != np.uint8:
-        raise MapError(f"its descriptors do not suit the norm {norm}")
-    if not 1 <= count <= _MAX_KEYFRAMES:
-        raise MapError(f"it has {count} keyframes")
-    if rows.min() < 0 or rows.max() >= 2**31 or len(np.unique(rows[:, 0])) != count:
-        raise MapError("the numbers of its keyframes are wrong")
-    if rows[:, 1].max() > MAX_POINTS or rows[:, 1].sum() != total:
-        raise MapError("the numbers of its points are wrong")
-    if rows[:, 2:4].sum() != len(arrays["pictures"]):
-        raise MapError("the lengths of its pictures are wrong")
-
-
-def _check_numbers(arrays: dict[str, AnyArray]) -> None:
-    """Refuse numbers that no floor has."""
-    for name in ("points", "scores", "sigmas", "sizes", "descriptors"):
-        values = arrays[name]
-        if values.dtype != np.uint8 and not np.all(np.isfinite(values)):
-            raise MapError(f"its {name} hold a number that is not finite")
-    points = arrays["points"]
-    least = min(float(arrays[name].min(initial=1.0)) for name in ("sigmas", "sizes"))
-    if np.abs(points).max(initial=0.0) > MAX_METRES or least <= 0.0:
-        raise MapError("its points, their sigmas or their sizes are out of range")
-    # Points of an upright or a trained kind have no angle: nan.
-    if np.isinf(arrays["angles"]).any():
-        raise MapError("its angles hold a number that is not finite")
-
-
-def _joined(pieces: Sequence[AnyArray], kind: Any) -> AnyArray:
-    return np.concatenate(pieces).astype(np.dtype(kind).newbyteorder("<"), copy=False)

@@ -1,4 +1,4 @@
-"""What a map file says of the drive that made it: every frame's estimate, and all links."""
+"""The pose graph in a map file: every frame's estimate, and all links."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from slamcli.core.camera.calibration import Rocking
 from slamcli.core.errors import MapError
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, LinkKind, PoseEstimate, Status
-from slamcli.io.map_file.header import MAX_METRES
+from slamcli.io.calibration_codec import MAX_METRES
 
 DRIVE_KINDS = {
     "frames": "<i8",
@@ -25,7 +25,7 @@ DRIVE_KINDS = {
     "texts": "|u1",
 }
 # Of each frame: index, fragment, status, inliers, and how many bytes of name and reason it has; and
-# stamp, pose, score and rocking, nan for what there is not.
+# stamp, pose, score and rocking, nan where there is none.
 _FRAME_COLUMNS, _FRAME_NUMBERS = 6, 8
 # Of each link: a, b, kind and inliers; and motion and score.
 _LINK_COLUMNS, _LINK_NUMBERS = 4, 4
@@ -35,7 +35,7 @@ _NO_COVARIANCE = np.full((3, 3), np.nan)
 
 
 def drive_arrays(estimates: Sequence[PoseEstimate], links: Sequence[Link]) -> dict[str, AnyArray]:
-    """Return what `parse_drive` reads back; what only the drive itself needs is left out."""
+    """Return what `parse_drive` reads back; `revised` and `odom_from_robot` are left out."""
     texts = [(e.name.encode(), e.reason.encode()) for e in estimates]
     frames = [
         (e.index, e.fragment, _STATUSES.index(e.status), e.inliers, len(name), len(reason))
@@ -79,11 +79,11 @@ def parse_drive(
     ends = np.cumsum(arrays["frames"][:, 4:6].sum(axis=1))
     texts = arrays["texts"].tobytes()
     estimates = []
-    for place, (index, fragment, status, inliers, name, reason) in enumerate(
+    for row, (index, fragment, status, inliers, name, reason) in enumerate(
         arrays["frames"].tolist()
     ):
-        stamp, x, y, theta, score, *rocking = arrays["frame_numbers"][place].tolist()
-        text = texts[int(ends[place]) - name - reason : int(ends[place])]
+        stamp, x, y, theta, score, *rocking = arrays["frame_numbers"][row].tolist()
+        text = texts[int(ends[row]) - name - reason : int(ends[row])]
         placed = math.isfinite(x)
         estimates.append(
             PoseEstimate(
@@ -94,7 +94,7 @@ def parse_drive(
                 _STATUSES[status],
                 text[name:].decode("utf-8", "replace"),
                 fragment,
-                arrays["frame_covariances"][place] if placed else None,
+                arrays["frame_covariances"][row] if placed else None,
                 inliers,
                 score,
                 rocking=None if math.isnan(rocking[0]) else Rocking(*rocking),
@@ -132,15 +132,15 @@ def _check_frames(arrays: Mapping[str, AnyArray]) -> None:
     if frames[:, 4:6].sum() != len(arrays["texts"]):
         raise MapError("the lengths of its names are wrong")
     if np.isinf(numbers).any():
-        raise MapError("its frames hold a number that is not finite")
+        raise MapError("its frames have a number that is not finite")
     placed = np.isfinite(numbers[:, 1:4])
     has_pose = frames[:, 2] != _STATUSES.index("lost")
     if not np.array_equal(placed.all(axis=1), has_pose) or placed[~has_pose].any():
-        raise MapError("a placed frame has no pose, or a lost one has")
+        raise MapError("a placed frame has no pose, or a lost one has one")
     _check_poses(numbers[has_pose, 1:3], arrays["frame_covariances"][has_pose])
     tilted = np.isfinite(numbers[:, 5:])
     if np.any(tilted.any(axis=1) != tilted.all(axis=1)):
-        raise MapError("a frame's rocking is not whole")
+        raise MapError("a frame's rocking is incomplete")
 
 
 def _check_links(arrays: Mapping[str, AnyArray]) -> None:
@@ -156,16 +156,20 @@ def _check_links(arrays: Mapping[str, AnyArray]) -> None:
     if not known or links.min() < 0 or links[:, 2].max() >= len(_LINK_KINDS):
         raise MapError("the numbers of its links are wrong")
     if not np.isfinite(numbers[:, :3]).all() or np.isinf(numbers).any():
-        raise MapError("its links hold a number that is not finite")
-    _check_poses(numbers[:, :2], arrays["link_covariances"], least=np.finfo(np.float64).tiny)
+        raise MapError("its links have a number that is not finite")
+    _check_poses(
+        numbers[:, :2], arrays["link_covariances"], min_eigenvalue=np.finfo(np.float64).tiny
+    )
 
 
-def _check_poses(places: Float64Array, covariances: Float64Array, least: float = -1e-12) -> None:
-    """Refuse what lies off the Earth, and what is no covariance."""
-    if np.abs(places).max(initial=0.0) > MAX_METRES:
-        raise MapError("a pose lies off the Earth")
+def _check_poses(
+    positions: Float64Array, covariances: Float64Array, min_eigenvalue: float = -1e-12
+) -> None:
+    """Refuse a pose farther away than any floor, and a matrix that is no covariance."""
+    if np.abs(positions).max(initial=0.0) > MAX_METRES:
+        raise MapError(f"a pose is more than {MAX_METRES:g} from the origin")
     if not np.isfinite(covariances).all():
-        raise MapError("its covariances hold a number that is not finite")
+        raise MapError("its covariances have a number that is not finite")
     symmetric = np.allclose(covariances, covariances.transpose(0, 2, 1), rtol=1e-6, atol=1e-12)
-    if not symmetric or np.linalg.eigvalsh(covariances).min(initial=1.0) < least:
-        raise MapError("a covariance is not one")
+    if not symmetric or np.linalg.eigvalsh(covariances).min(initial=1.0) < min_eigenvalue:
+        raise MapError("a covariance is not symmetric or not positive")

@@ -1,4 +1,4 @@
-"""A Deep Zoom pyramid (Microsoft's DZI, 2009 schema): a map of any size for a browser."""
+"""Deep Zoom pyramids (Microsoft's DZI, 2009 schema), to view a map of any size in a browser."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def write_deep_zoom(
 ) -> None:
     """Write NAME.dzi and NAME_files/LEVEL/COLUMN_ROW.png; tiles that show nothing are left out.
 
-    Each level halves the one below it, which is read back a row of tiles at a time, so memory holds
-    four tiles whatever the size.
+    Each level halves the one below it, which is read back four tiles at a time: memory does not
+    grow with the size.
 
     Parameters
     ----------

@@ -1,9 +1,10 @@
-"""Cloud-optimised GeoTIFF, written block by block by GDAL (through rasterio)."""
+"""Cloud-optimised GeoTIFF (COG), written block by block by GDAL through rasterio."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,11 @@ from slamcli.core.arrays import Float64Array, GenericArray
 from slamcli.core.config import Datum
 from slamcli.core.errors import InputError, OutputError
 
+# GDAL's own cache of blocks, in place of its default of 5 % of the memory
+# [guarded by benchmarks/scale.py: memory does not grow with the map].
 _CACHE_MEGABYTES = 128
+_BLOCK_PIXELS = 512
+_COLOUR_BANDS = 4
 
 
 def check_geotiff() -> None:
@@ -21,19 +26,11 @@ def check_geotiff() -> None:
     _rasterio()
 
 
-def write_geotiff(
-    path: Path,
-    shape: tuple[int, int],
-    bands: int,
-    kind: str,
-    blocks: Iterable[tuple[int, int, GenericArray]],
-    transform: Float64Array,
-    datum: Datum | None,
-    nodata: float | None = None,
-) -> None:
-    """Write a tiled, deflated BigTIFF with overviews, laid out as COG; unseen blocks are left out.
+@dataclass(frozen=True, slots=True, eq=False)
+class RasterLayout:
+    """Size, pixel type and place on the ground of a raster.
 
-    Parameters
+    Attributes
     ----------
     shape : (int, int)
         Height and width, pixels.
@@ -41,12 +38,31 @@ def write_geotiff(
         4 is red, green, blue and alpha; 1 is a layer.
     kind : str
         Numpy's name of the type.
-    blocks : iterable of (row, column, (h, w[, bands]) array)
-        Where each lies, and its pixels; colours as BGRA.
     transform : (3, 3) float64
         Metres from pixels, whole numbers at the upper left pixel's corner.
     datum : Datum or None
         Where the map lies on the earth; without one it has no coordinate system.
+    nodata : float or None
+        What a pixel of a layer has where nothing was seen.
+    """
+
+    shape: tuple[int, int]
+    bands: int
+    kind: str
+    transform: Float64Array
+    datum: Datum | None
+    nodata: float | None = None
+
+
+def write_geotiff(
+    path: Path, layout: RasterLayout, blocks: Iterable[tuple[int, int, GenericArray]]
+) -> None:
+    """Write a tiled, deflated BigTIFF with overviews, laid out as COG; unseen blocks are left out.
+
+    Parameters
+    ----------
+    blocks : iterable of (row, column, (h, w[, bands]) array)
+        Where each lies, and its pixels; colours as BGRA.
 
     Raises
     ------
@@ -56,62 +72,77 @@ def write_geotiff(
     """
     rasterio = _rasterio()
     plain = path.with_name(f".{path.stem}.plain.tif")
-    profile: dict[str, Any] = {
-        "driver": "GTiff",
-        "height": shape[0],
-        "width": shape[1],
-        "count": bands,
-        "dtype": kind,
-        "tiled": True,
-        "blockxsize": 512,
-        "blockysize": 512,
-        "sparse_ok": True,
-        "bigtiff": "IF_SAFER",
-        "compress": "deflate",
-        "zlevel": 1,
-        "predictor": 3 if kind == "float32" else 2,
-        "transform": rasterio.Affine(*transform[0], *transform[1]),
-    }
-    if bands == 4:
-        profile |= {"photometric": "RGB", "alpha": "unspecified"}
-    if nodata is not None:
-        profile["nodata"] = nodata
-    if datum is not None:
-        profile["crs"] = _local_crs(datum)
     try:
         with (
             warnings.catch_warnings(),
             rasterio.Env(GDAL_CACHEMAX=_CACHE_MEGABYTES, GDAL_TIFF_INTERNAL_MASK=True),
         ):
             warnings.simplefilter("ignore")
-            with rasterio.open(plain, "w", **profile) as target:
-                if bands == 4:
-                    colours = rasterio.enums.ColorInterp
-                    target.colorinterp = (
-                        colours.red,
-                        colours.green,
-                        colours.blue,
-                        colours.alpha,
-                    )
-                for row, column, pixels in blocks:
-                    _write_block(rasterio, target, row, column, pixels)
-            rasterio.shutil.copy(
-                plain,
-                path,
-                driver="COG",
-                COMPRESS="DEFLATE",
-                LEVEL=6,
-                PREDICTOR="YES",
-                BLOCKSIZE=512,
-                BIGTIFF="IF_SAFER",
-                SPARSE_OK="YES",
-                OVERVIEWS="IGNORE_EXISTING",
-                OVERVIEW_RESAMPLING="AVERAGE" if bands == 4 else "NEAREST",
-            )
+            _write_plain(rasterio, plain, layout, blocks)
+            _copy_as_cog(rasterio, plain, path, layout)
     except rasterio.errors.RasterioError as error:
         raise OutputError(f"cannot write {path}: {' '.join(str(error).split())}") from error
     finally:
         plain.unlink(missing_ok=True)
+
+
+def _profile(rasterio: Any, layout: RasterLayout) -> dict[str, Any]:
+    """Return how GDAL's GTiff driver is to create the raster."""
+    profile: dict[str, Any] = {
+        "driver": "GTiff",
+        "height": layout.shape[0],
+        "width": layout.shape[1],
+        "count": layout.bands,
+        "dtype": layout.kind,
+        "tiled": True,
+        "blockxsize": _BLOCK_PIXELS,
+        "blockysize": _BLOCK_PIXELS,
+        "sparse_ok": True,
+        "bigtiff": "IF_SAFER",
+        "compress": "deflate",
+        "zlevel": 1,
+        "predictor": 3 if layout.kind == "float32" else 2,
+        "transform": rasterio.Affine(*layout.transform[0], *layout.transform[1]),
+    }
+    if layout.bands == _COLOUR_BANDS:
+        profile |= {"photometric": "RGB", "alpha": "unspecified"}
+    if layout.nodata is not None:
+        profile["nodata"] = layout.nodata
+    if layout.datum is not None:
+        profile["crs"] = _local_crs(layout.datum)
+    return profile
+
+
+def _write_plain(
+    rasterio: Any,
+    path: Path,
+    layout: RasterLayout,
+    blocks: Iterable[tuple[int, int, GenericArray]],
+) -> None:
+    """Write the blocks, in any order, into a TIFF without overviews."""
+    with rasterio.open(path, "w", **_profile(rasterio, layout)) as target:
+        if layout.bands == _COLOUR_BANDS:
+            colours = rasterio.enums.ColorInterp
+            target.colorinterp = (colours.red, colours.green, colours.blue, colours.alpha)
+        for row, column, pixels in blocks:
+            _write_block(rasterio, target, row, column, pixels)
+
+
+def _copy_as_cog(rasterio: Any, plain: Path, path: Path, layout: RasterLayout) -> None:
+    """Copy a TIFF with overviews and in a COG's order, which GDAL writes only as a copy."""
+    rasterio.shutil.copy(
+        plain,
+        path,
+        driver="COG",
+        COMPRESS="DEFLATE",
+        LEVEL=6,
+        PREDICTOR="YES",
+        BLOCKSIZE=_BLOCK_PIXELS,
+        BIGTIFF="IF_SAFER",
+        SPARSE_OK="YES",
+        OVERVIEWS="IGNORE_EXISTING",
+        OVERVIEW_RESAMPLING="AVERAGE" if layout.bands == _COLOUR_BANDS else "NEAREST",
+    )
 
 
 def _write_block(rasterio: Any, target: Any, row: int, column: int, pixels: GenericArray) -> None:

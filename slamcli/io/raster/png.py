@@ -1,4 +1,4 @@
-"""A PNG written a strip of rows at a time: strips are compressed on any thread, none is kept.
+"""PNG files written strip by strip: strips of rows are compressed on any thread, none is kept.
 
 One call of OpenCV's encoder needs the whole picture in memory and one processor; for a map it takes
 longer than painting it. By the PNG specification (W3C, third edition), and RFC 1950 and 1951.
@@ -29,7 +29,7 @@ _ADLER_BASE = 65521
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """Some rows, compressed.
+    """Some rows of a PNG, compressed.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Strip:
 
 
 def compress(pixels: UInt8Array) -> Strip:
-    """Compress (h, w, 4) uint8 BGRA rows, which go on to hold nothing of the rows above them."""
+    """Compress (h, w, 4) uint8 BGRA rows, without reference to the rows above them."""
     height, width = pixels.shape[:2]
     colours = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGRA2RGBA), np.uint8).reshape(height, -1)
     rows = np.empty((height, 1 + 4 * width), np.uint8)
@@ -60,7 +60,7 @@ def compress(pixels: UInt8Array) -> Strip:
 
 
 def write_png(path: Path, width: int, height: int, strips: Iterable[Strip]) -> None:
-    """Write a picture, whole or not at all, from its strips, the upper ones first.
+    """Write a picture, completely or not at all, from its strips, the upper ones first.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Finished tiles on disk: memory stays free, however large the map, and a killed run finds them."""
+"""A sparse raster of finished tiles on disk: memory does not grow with the map."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NAME = re.compile(r"(-?\d+)_(-?\d+)\.npz")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredTile:
-    """What is kept of a painted tile.
+    """A painted tile as it is stored.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class StoredTile:
         255 where the floor was seen.
     obstacles : (h, w, 4) uint8 BGRA or None
     layers : dict of str to (h, w) array
-        Those asked for: ``resolution`` (float32, metres of floor that a picture's pixel covers; 0:
+        The chosen ones: ``resolution`` (float32, metres of floor that a picture's pixel covers; 0:
         unseen), ``views`` (uint16), ``last-frame`` (int32; -1: unseen).
     """
 
@@ -43,9 +43,9 @@ class StoredTile:
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """Where in a tile something was seen: first and last row and column, and how many pixels.
+    """Where in a tile floor was seen: first and last row and column, and how many pixels.
 
-    And whether anything that is not floor was.
+    And whether the tile has an obstacle.
     """
 
     top: int
@@ -53,7 +53,7 @@ class _Entry:
     left: int
     right: int
     seen: int
-    stands: bool
+    has_obstacle: bool
 
 
 class TileStore:
@@ -62,7 +62,7 @@ class TileStore:
     Parameters
     ----------
     folder : Path
-        Made when missing. Tiles that it already holds, from a run that was cut off, are kept.
+        Made when missing. Tiles that are already in it, of an interrupted run, are kept.
     tile_pixels : int
     layers : tuple of str
         Which layers to keep; see `StoredTile`.
@@ -83,11 +83,11 @@ class TileStore:
                 row, column = int(name[1]), int(name[2])
                 self._entries[row, column] = _entry(self._read(row, column))
 
-    def __contains__(self, place: tuple[int, int]) -> bool:
-        return place in self._entries
+    def __contains__(self, key: tuple[int, int]) -> bool:
+        return key in self._entries
 
     def put(self, row: int, column: int, tile: Tile | None) -> None:
-        """Keep a tile, whole or not at all; None notes that nothing is seen there."""
+        """Store a tile, completely or not at all; None notes that nothing is seen there."""
         stream = io.BytesIO()
         if tile is None:
             np.savez(stream, empty=np.zeros(0, np.uint8))
@@ -103,7 +103,7 @@ class TileStore:
             for layer in self.layers:
                 arrays[layer] = _layer(tile, layer)
             np.savez(stream, allow_pickle=False, **arrays)
-            self._entries[row, column] = _entry_of(mask, stands=tile.obstacles is not None)
+            self._entries[row, column] = _entry_of(mask, has_obstacle=tile.obstacles is not None)
         write_bytes(self._path(row, column), stream.getvalue())
 
     def get(self, row: int, column: int) -> StoredTile | None:
@@ -112,9 +112,9 @@ class TileStore:
             return None
         return self._read(row, column)
 
-    def places(self) -> list[tuple[int, int]]:
+    def keys(self) -> list[tuple[int, int]]:
         """Return row and column of every tile with something in it, from the upper left on."""
-        return sorted(place for place, entry in self._entries.items() if entry is not None)
+        return sorted(key for key, entry in self._entries.items() if entry is not None)
 
     def tiles(self, grid: Grid) -> Iterator[tuple[int, int, StoredTile]]:
         """Yield the pixel row and column in a grid, which may be negative, and each of its tiles.
@@ -126,7 +126,7 @@ class TileStore:
             round(-grid.y_max / grid.metres_per_pixel),
             round(grid.x_min / grid.metres_per_pixel),
         )
-        for row, column in self.places():
+        for row, column in self.keys():
             down, right = row * side - top, column * side - left
             if -side < down < grid.height and -side < right < grid.width:
                 tile = self._read(row, column)
@@ -137,9 +137,9 @@ class TileStore:
         """Return how many pixels of the map were seen."""
         return sum(entry.seen for entry in self._entries.values() if entry is not None)
 
-    def stands(self) -> bool:
-        """Tell whether anything that is not floor was found."""
-        return any(entry is not None and entry.stands for entry in self._entries.values())
+    def has_obstacles(self) -> bool:
+        """Return whether any tile has an obstacle."""
+        return any(entry is not None and entry.has_obstacle for entry in self._entries.values())
 
     def bounds(self) -> tuple[int, int, int, int] | None:
         """Return top, bottom, left and right of what was seen, in the map's pixels, ends excluded.
@@ -172,7 +172,7 @@ class TileStore:
         return image, mask
 
     def overview(self, grid: Grid, factor: int) -> tuple[UInt8Array, UInt8Array]:
-        """Return picture and mask of a grid, reduced by a factor, without holding it at full size.
+        """Return picture and mask of a grid, reduced by a factor, tile by tile.
 
         Parameters
         ----------
@@ -209,7 +209,7 @@ class TileStore:
 
 
 def put_part(canvas: GenericArray, part: GenericArray, row: int, column: int) -> None:
-    """Write what falls inside of it into an array that the caller owns."""
+    """Write a part at (row, column) into an array that the caller owns, clipped to it."""
     height, width = part.shape[:2]
     rows = slice(max(0, row), min(canvas.shape[0], row + height))
     columns = slice(max(0, column), min(canvas.shape[1], column + width))
@@ -247,12 +247,13 @@ def _layer(tile: Tile, layer: str) -> GenericArray:
 
 
 def _entry(tile: StoredTile | None) -> _Entry | None:
-    return None if tile is None else _entry_of(tile.mask, stands=tile.obstacles is not None)
+    return None if tile is None else _entry_of(tile.mask, has_obstacle=tile.obstacles is not None)
 
 
-def _entry_of(mask: UInt8Array, *, stands: bool) -> _Entry | None:
+def _entry_of(mask: UInt8Array, *, has_obstacle: bool) -> _Entry | None:
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if rows.size == 0:
         return None
     seen = int(np.count_nonzero(mask))
-    return _Entry(int(rows[0]), int(rows[-1]), int(columns[0]), int(columns[-1]), seen, stands)
+    bounds = int(rows[0]), int(rows[-1]), int(columns[0]), int(columns[-1])
+    return _Entry(*bounds, seen, has_obstacle)

@@ -1,4 +1,4 @@
-"""FrameCache that know where they lie: PNG with a world file, and Nav2 maps."""
+"""Georeferenced pictures: PNG with a world file, and Nav2 maps."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _UPRIGHT = Pose2()
 def write_georeferenced_png(path: Path, image: UInt8Array, mask: UInt8Array, grid: Grid) -> None:
     """Write BGR pixels, transparent where the mask is 0, with an ESRI world file (.pgw) beside.
 
-    The world file holds the affine transform from pixel to metres, its origin at the centre of
-    the upper left pixel.
+    The world file is the affine transform from pixel to metres, its origin at the centre of the
+    upper left pixel.
     """
     png.write_png(path, grid.width, grid.height, [png.compress(transparent(image, mask))])
     write_world_file(path.with_suffix(".pgw"), grid)

@@ -1,4 +1,4 @@
-"""`slam calibrate`: photos of a square on the floor to calibrations, check pictures, a table."""
+"""`slam calibrate`: a camera calibration from photos of a square on the floor."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from slamcli.core.arrays import UInt8Array
-from slamcli.core.camera import projection
+from slamcli.core.arrays import Float64Array, UInt8Array
 from slamcli.core.camera.calibration import Intrinsics
+from slamcli.core.camera.footprint import seen_floor
+from slamcli.core.camera.lens import Lens, image_centre, undistort_points
+from slamcli.core.camera.resolution import resolution_image
 from slamcli.core.config import FeatureOptions
 from slamcli.core.errors import CalibrationError, FrameError, InputError, SlamcliError
 from slamcli.core.geometry import Pose2, apply_homography
@@ -33,18 +35,21 @@ from slamcli.stages import calibrate as solving
 from slamcli.stages import features, square, view
 from slamcli.stages.calibrate import board
 
-# How far a given corner may be off, one sigma, where nothing measured it.
+# Error of a given corner, one sigma, where nothing measured it.
 _GIVEN_CORNER_SIGMA_PIXELS = 0.5
-# What an unknown lens and an uneven floor move corners by, as a share of the picture's width.
+# Error of corners by an unknown lens and an uneven floor, as a share of the picture's width
+# [guarded by tests/stages/test_square.py].
 _TOLERANCE_SHARE = 0.004
-_BOW_WORTH_TELLING_SHARE = 0.002
+# Sides that bend by more than this share of their length, and by half a pixel, are reported.
+_MAX_BOW_SHARE = 0.002
+_MAX_BOW_PIXELS = 0.5
 _COMPARED_FEATURES = 20_000
 _YAML_SUFFIXES = {".yaml", ".yml"}
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrateOptions:
-    """What `slam calibrate` was told.
+    """The options of `slam calibrate`.
 
     Attributes
     ----------
@@ -76,7 +81,7 @@ class CalibrateOptions:
 def calibrate(
     photos: Sequence[Path], output: Path, options: CalibrateOptions, *, overwrite: bool
 ) -> list[str]:
-    """Calibrate from each photo, write files, and return what to tell the user.
+    """Calibrate from each photo, write the files, and return the lines of the report.
 
     One photo: `output` (a .yaml file, or a folder for calibration.yaml) and its check picture, the
     same name with .png. Several: `output` is the best one's, and each photo's own calibration and
@@ -91,7 +96,7 @@ def calibrate(
     path = output if output.suffix.lower() in _YAML_SUFFIXES else output / "calibration.yaml"
     own = [path.with_name(f"{path.stem}_{photo.stem}{path.suffix}") for photo in photos]
     if len(set(own)) < len(own):
-        raise InputError("two photos have the same name; rename one, or calibrate them singly")
+        raise InputError("two photos have the same name; rename one, or calibrate one at a time")
     for place in [path] if len(photos) == 1 else [path, *own]:
         refuse_existing(place, overwrite=overwrite)
         refuse_existing(place.with_suffix(".png"), overwrite=overwrite)
@@ -126,16 +131,16 @@ def calibrate(
 
 def _check(options: CalibrateOptions, photos: Sequence[Path]) -> None:
     if not options.side_metres > 0 or not np.isfinite(options.side_metres):
-        raise InputError(f"--side {options.side_metres:g}: the side is a length above 0 metres")
+        raise InputError(f"--side {options.side_metres:g}: give a length above 0 metres")
     if options.max_range_metres is not None and not options.max_range_metres > 0:
-        raise InputError(f"--max-range {options.max_range_metres:g}: it must be above 0 metres")
-    ways = [options.corners, options.chessboard, options.marker]
-    if sum(way is not None for way in ways) > 1:
+        raise InputError(f"--max-range {options.max_range_metres:g}: give a range above 0 metres")
+    targets = [options.corners, options.chessboard, options.marker]
+    if sum(target is not None for target in targets) > 1:
         raise InputError("give only one of --corners, --chessboard and --aruco")
     if options.corners is not None and len(photos) > 1:
-        raise InputError("--corners fit one photo; calibrate several photos one at a time")
+        raise InputError("--corners are those of one photo; calibrate several one at a time")
     if options.refine and options.corners is None:
-        raise InputError("--refine moves given corners; it needs --corners")
+        raise InputError("--refine moves the given corners; give them with --corners")
 
 
 def _calibrate(photo: Path, options: CalibrateOptions, intrinsics: Intrinsics | None) -> Result:
@@ -155,7 +160,7 @@ def _calibrate(photo: Path, options: CalibrateOptions, intrinsics: Intrinsics | 
     else:
         mounting = solving.solve_mounting_with_intrinsics(target.points, intrinsics)
     calibration = solving.make_calibration(mounting, size, intrinsics, options.max_range_metres)
-    floor = projection.seen_floor(calibration)
+    floor = seen_floor(calibration)
     area, resolved = floor_areas(calibration)
     resampler = view.make_view_resampler(
         calibration, view.registration_metres_per_pixel(calibration)
@@ -171,26 +176,15 @@ def _calibrate(photo: Path, options: CalibrateOptions, intrinsics: Intrinsics | 
 def _find_target(
     image: UInt8Array, options: CalibrateOptions, intrinsics: Intrinsics | None
 ) -> Target:
+    """Return the chessboard, the marker, the given corners or the square found in a photo."""
     size = (image.shape[1], image.shape[0])
     lens = intrinsics or _plain_lens(size)
-    target = solving.square_target(options.side_metres)
     if options.chessboard is not None:
-        columns, rows = (round(count) for count in options.chessboard)
-        grid, pixels = board.find_chessboard(image, columns, rows, options.side_metres)
-        points = solving.FloorPoints(
-            grid,
-            projection.undistort_points(lens, pixels),
-            np.eye(2 * len(grid)) * board.CHESSBOARD_SIGMA_PIXELS**2,
-        )
-        ends = [0, columns - 1, columns * rows - 1, columns * (rows - 1)]
-        return Target(f"chessboard {columns}x{rows}", points, pixels[ends], ())
+        return _chessboard(image, options, lens)
     if options.corners is not None and not options.refine:
-        corners = solving.sort_corners(options.corners, size)
-        covariance = np.eye(8) * _GIVEN_CORNER_SIGMA_PIXELS**2
-        undistorted = projection.undistort_points(lens, corners)
-        return Target("square", solving.FloorPoints(target, undistorted, covariance), corners, ())
-    notes: list[str] = []
+        return _given_corners(solving.sort_corners(options.corners, size), options, lens)
     name = "square"
+    notes: list[str] = []
     if options.corners is not None:
         found = square.refine_square(image, solving.sort_corners(options.corners, size), lens)
     elif options.marker is not None:
@@ -198,26 +192,54 @@ def _find_target(
         found = square.refine_square(image, solving.sort_corners(marker, size), lens)
         name = f"aruco {options.marker.lower()} {number}"
     else:
-        judge = partial(
-            solving.squareness,
-            image_size=size,
-            intrinsics=intrinsics,
-            tolerance_pixels=_TOLERANCE_SHARE * size[0],
-        )
-        found, *others = square.find_squares(image, lens, judge)
-        notes += [
-            f"another square may be meant ({other.score / found.score:.0%} as good): "
-            f'--corners "{corner_text(other.corners)}"'
-            for other in others[:1]
-        ]
+        found, notes = _search_square(image, intrinsics)
     notes += _bow_note(found, intrinsics)
-    points = solving.FloorPoints(target, found.quad.corners, found.quad.covariance)
+    points = solving.FloorPoints(
+        solving.square_target(options.side_metres), found.quad.corners, found.quad.covariance
+    )
     return Target(name, points, found.corners, tuple(notes))
+
+
+def _chessboard(image: UInt8Array, options: CalibrateOptions, lens: Lens) -> Target:
+    assert options.chessboard is not None
+    columns, rows = (round(count) for count in options.chessboard)
+    grid, pixels = board.find_chessboard(image, columns, rows, options.side_metres)
+    covariance = np.eye(2 * len(grid)) * board.CHESSBOARD_SIGMA_PIXELS**2
+    points = solving.FloorPoints(grid, undistort_points(lens, pixels), covariance)
+    ends = [0, columns - 1, columns * rows - 1, columns * (rows - 1)]
+    return Target(f"chessboard {columns}x{rows}", points, pixels[ends], ())
+
+
+def _given_corners(corners: Float64Array, options: CalibrateOptions, lens: Lens) -> Target:
+    covariance = np.eye(8) * _GIVEN_CORNER_SIGMA_PIXELS**2
+    target = solving.square_target(options.side_metres)
+    points = solving.FloorPoints(target, undistort_points(lens, corners), covariance)
+    return Target("square", points, corners, ())
+
+
+def _search_square(
+    image: UInt8Array, intrinsics: Intrinsics | None
+) -> tuple[square.Square, list[str]]:
+    """Return the square found in a photo, and a note where another may be meant."""
+    size = (image.shape[1], image.shape[0])
+    squareness = partial(
+        solving.squareness,
+        image_size=size,
+        intrinsics=intrinsics,
+        tolerance_pixels=_TOLERANCE_SHARE * size[0],
+    )
+    lens = intrinsics or _plain_lens(size)
+    found, *others = square.find_squares(image, lens, squareness)
+    return found, [
+        f"there is another square, {other.score / found.score:.0%} as good; if that one is the "
+        f'target, give --corners "{corner_text(other.corners)}"'
+        for other in others[:1]
+    ]
 
 
 def _plain_lens(size: tuple[int, int]) -> Intrinsics:
     """Return a lens without distortion; nothing reads its focal length."""
-    column, row = projection.image_centre(size)
+    column, row = image_centre(size)
     matrix = np.array([[size[0], 0.0, column], [0.0, size[0], row], [0.0, 0.0, 1.0]])
     return Intrinsics(matrix, np.zeros(5), "plumb_bob", size)
 
@@ -226,24 +248,24 @@ def _bow_note(found: square.Square, intrinsics: Intrinsics | None) -> list[str]:
     corners = found.quad.corners
     longest = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).max())
     bow = abs(found.quad.bow_pixels)
-    if bow < max(0.5, _BOW_WORTH_TELLING_SHARE * longest):
+    if bow < max(_MAX_BOW_PIXELS, _MAX_BOW_SHARE * longest):
         return []
-    cure = "give --intrinsics" if intrinsics is None else "check --intrinsics"
-    what = "the lens distorts or the floor is uneven"
-    return [f"the square's sides bow by up to {bow:.1f} px: {what}; {cure}"]
+    remedy = "give --intrinsics" if intrinsics is None else "check --intrinsics"
+    cause = "the lens distorts or the floor is uneven"
+    return [f"the square's sides bend by up to {bow:.1f} px: {cause}; {remedy}"]
 
 
 def _write(path: Path, result: Result, options: CalibrateOptions) -> None:
     calibration, target = result.calibration, result.target
     corners = apply_homography(
-        calibration.robot_from_image, projection.undistort_points(calibration, target.outline)
+        calibration.robot_from_image, undistort_points(calibration, target.outline)
     )
     grid = birdseye_grid(calibration, corners)
     # Past the far limit too, as far as the picture shows it: the square may lie there.
     reach = float(np.hypot(*grid.corners.T).max())
     wide = replace(calibration, max_range_metres=max(reach, calibration.max_range_metres))
     frame = Frame(0, result.photo.name, None, result.image)
-    resampler = view.make_resampler(wide, projection.resolution_image(wide), grid, Pose2())
+    resampler = view.make_resampler(wide, resolution_image(wide), grid, Pose2())
     birdseye = view.make_view(frame, resampler, gray=False)
     picture = draw_calibration(
         result.image, target.outline, calibration, birdseye, describe(result)

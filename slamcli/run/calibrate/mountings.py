@@ -1,4 +1,4 @@
-"""What a mounting of the camera sees of the floor: told in lines, compared in a table."""
+"""Comparison of camera mountings: what each sees of the floor, in lines and in a table."""
 
 from __future__ import annotations
 
@@ -9,18 +9,33 @@ from pathlib import Path
 import numpy as np
 
 from slamcli.core.arrays import Float64Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import footprint_hull, seen_floor
+from slamcli.core.camera.resolution import floor_sampling
 from slamcli.stages import calibrate as solving
 
-# Floor that a pixel covers more of than this shows no scuff, seam or painted edge sharply.
+# Where a pixel covers more floor than this, no scuff, seam or painted edge is sharp.
 RESOLVED_METRES_PER_PIXEL = 0.002
+# Mountings that resolve nearly as much floor, less by up to this share, count as equal.
 _EQUAL_SHARE = 0.05
+# A smaller residual is not reported, however small its sigma.
+_MAX_RESIDUAL_PIXELS = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Target:
-    """What was found in a photo: its points, its outline in pixels, what to say of it."""
+    """The calibration target found in a photo.
+
+    Attributes
+    ----------
+    name : str
+        Such as ``square`` or ``chessboard 8x6``.
+    points : FloorPoints
+    outline : (4, 2) float64
+        Pixels of the photo.
+    notes : tuple of str
+        Remarks for the user.
+    """
 
     name: str
     points: solving.FloorPoints
@@ -30,7 +45,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """One photo's calibration, and what it is worth as a place to mount the camera.
+    """One photo's calibration, and how much floor its mounting shows.
 
     Attributes
     ----------
@@ -99,12 +114,12 @@ def choose_best(results: Sequence[Result]) -> tuple[Result, str]:
 
 def floor_areas(calibration: Calibration) -> tuple[float, float]:
     """Return square metres of floor kept, and the part that is resolved."""
-    hull = projection.footprint_hull(calibration)
+    hull = footprint_hull(calibration)
     x, y = hull.T
     area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
-    floor = projection.seen_floor(calibration)
-    sampling = projection.floor_sampling(calibration, floor)
-    # The points lie evenly in the picture, so each stands for floor like its pixel's.
+    floor = seen_floor(calibration)
+    sampling = floor_sampling(calibration, floor)
+    # The points lie evenly in the picture, so each counts for as much floor as a pixel there.
     weight = sampling.prod(axis=1)
     resolved = sampling[:, 0] <= RESOLVED_METRES_PER_PIXEL
     return area, area * float(weight[resolved].sum() / weight.sum())
@@ -125,22 +140,25 @@ def _sampling(result: Result) -> list[tuple[str, Float64Array | None]]:
         depth = float(ahead[0] @ calibration.image_from_robot[2, :2]) + float(
             calibration.image_from_robot[2, 2]
         )
-        sampling = projection.floor_sampling(calibration, ahead)[0] if depth > 0 else None
+        sampling = floor_sampling(calibration, ahead)[0] if depth > 0 else None
         sampled.append((name, sampling))
     return sampled
 
 
 def describe(result: Result) -> list[str]:
-    """Return lines of text: what was found, the numbers with their sigmas, what to beware of."""
+    """Return lines of text: the target, the numbers with their sigmas, and notes."""
     mounting, calibration, target = result.mounting, result.calibration, result.target
     sigma = np.degrees(mounting.sigmas[2:])
     focal = f"focal length {mounting.focal_pixels:.1f} ± {mounting.sigmas[0]:.1f} px, "
     sampling = "; ".join(f"{_cell(value)} at {name}" for name, value in _sampling(result))
     misfit = []
-    if mounting.misfit_sigmas > solving.MISFIT_SIGMAS and mounting.residual_pixels > 0.3:
+    if (
+        mounting.misfit_sigmas > solving.MISFIT_SIGMAS
+        and mounting.residual_pixels > _MAX_RESIDUAL_PIXELS
+    ):
         misfit = [
-            f"note: the corners fit a square on a flat floor only to "
-            f"{mounting.residual_pixels:.1f} px ({mounting.misfit_sigmas:.0f} sigmas)"
+            f"note: the target fits a flat floor only to {mounting.residual_pixels:.1f} px "
+            f"({mounting.misfit_sigmas:.0f} sigmas); check the corners, and that it lies flat"
         ]
     return [
         f"{result.photo.name}: {target.name}, corners {corner_text(target.outline)}",

@@ -1,4 +1,4 @@
-"""The camera refined by its own frames: for `slam stitch` and for `slam calibrate --refine`."""
+"""Self-calibration by a drive's frames, for `slam stitch` and `slam calibrate --refine`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.lens import undistort_points
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import CalibrationError, InputError
 from slamcli.core.geometry import Pose2, apply_homography
@@ -21,8 +21,8 @@ from slamcli.io.frames import read_frame
 from slamcli.io.toml import Scalar
 from slamcli.run.frame_loop import register
 from slamcli.run.inputs import Inputs, open_inputs
-from slamcli.run.session.executor import Progress, ordered
-from slamcli.selfcal import RegisteredDrive, SelfCalibration, refine
+from slamcli.run.session.session import Session
+from slamcli.selfcal import RegisteredDrive, SelfCalibration, refine_calibration
 from slamcli.stages import calibrate as solving
 
 
@@ -32,11 +32,10 @@ def calibrate_by_frames(
     output: Path,
     max_range_metres: float | None,
     *,
-    workers: int,
     overwrite: bool,
-    progress: Progress,
+    session: Session,
 ) -> list[str]:
-    """Refine an existing calibration by a drive's frames; write it and return what to tell.
+    """Refine an existing calibration by a drive's frames, write it, return the report's lines.
 
     Raises
     ------
@@ -49,8 +48,8 @@ def calibrate_by_frames(
     if inputs.calibration_path is None:
         raise InputError("--refine starts from a calibration; give it with -c")
     options = MapperOptions()
-    first = register(inputs.files, options, workers, progress, inputs.calibration)
-    done = self_calibrate(inputs, first, options, workers, progress)
+    first = register(inputs.files, options, session, inputs.calibration)
+    done = self_calibrate(inputs, first, options, session)
     if done.verdict == "not applied":
         raise CalibrationError(f"the calibration is left as it was: {done.reason}")
     origin = load_origin(inputs.calibration_path)
@@ -60,19 +59,16 @@ def calibrate_by_frames(
 
 
 def self_calibrate(
-    inputs: Inputs,
-    first: RegisteredDrive,
-    options: MapperOptions,
-    workers: int,
-    progress: Progress,
+    inputs: Inputs, first: RegisteredDrive, options: MapperOptions, session: Session
 ) -> SelfCalibration:
     """Refine camera and poses by the frames that have been registered."""
     origin = None if inputs.calibration_path is None else load_origin(inputs.calibration_path)
-    return refine(
+    here = session.on_this_machine()
+    return refine_calibration(
         first,
         lambda index: read_frame(inputs.files[index]),
-        partial(register, inputs.files, options, workers, progress),
-        partial(ordered, workers=workers),
+        partial(register, inputs.files, options, here),
+        here.ordered,
         partial(true_scale, origin),
     )
 
@@ -80,17 +76,17 @@ def self_calibrate(
 def true_scale(origin: CalibrationSource | None, calibration: Calibration) -> float:
     """Return by how much a camera's height must grow for its calibration square to have its size.
 
-    The focal length and the tilt that frames tell change how large the square seems in its photo:
-    least squares on the reprojection of its corners, by size and place. 1 without a square.
+    The refined focal length and tilt change how large the square seems in its photo: least squares
+    on the reprojection of its corners, by size and place. 1 without a square.
     """
     if origin is None or origin.target.split()[:1] not in (["square"], ["aruco"]):
         return 1.0
-    # Slow to load, and of use to few runs of `slam stitch`.
+    # Slow to load, and used by few runs of `slam stitch`.
     from scipy.optimize import least_squares
 
     corners = solving.sort_corners(origin.corners, calibration.image_size)
     target = solving.square_target(origin.side_metres)
-    pixels = projection.undistort_points(calibration, corners)
+    pixels = undistort_points(calibration, corners)
     floor = apply_homography(calibration.robot_from_image, pixels)
     edge, side = floor[1] - floor[0], target[1] - target[0]
     yaw = math.atan2(edge[1], edge[0]) - math.atan2(side[1], side[0])
@@ -99,7 +95,7 @@ def true_scale(origin: CalibrationSource | None, calibration: Calibration) -> fl
         size, x, y, theta = (float(value) for value in values)
         placed = Pose2(x, y, theta).apply(math.exp(size) * target)
         seen = apply_homography(calibration.image_from_robot, placed)
-        return np.asarray((seen - pixels).ravel(), np.float64)
+        return (seen - pixels).ravel()
 
     start = np.array([0.0, *floor.mean(axis=0), yaw])
     solution = least_squares(misfit, start, method="lm", x_scale="jac")
@@ -107,7 +103,7 @@ def true_scale(origin: CalibrationSource | None, calibration: Calibration) -> fl
 
 
 def describe(done: SelfCalibration) -> list[str]:
-    """Return lines of text: what became of the camera, and how well it explains the frames."""
+    """Return lines of text: whether the camera was changed, and how well it fits the frames."""
     lines = [f"{'camera':<12} {done.verdict}: {done.reason}"]
     if math.isfinite(done.pixels_after):
         lines.append(
@@ -125,7 +121,7 @@ def describe(done: SelfCalibration) -> list[str]:
 
 
 def run_section(done: SelfCalibration) -> dict[str, Scalar]:
-    """Return what run.toml says of it."""
+    """Return the section of run.toml."""
     calibration = done.registration.calibration
     section: dict[str, Scalar] = {
         "verdict": done.verdict,

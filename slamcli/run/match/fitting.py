@@ -1,4 +1,4 @@
-"""Two pictures, fitted: what `slam match` tries, in what order, and when it believes it."""
+"""Fits of two pictures: the feature recipes that `slam match` tries, their order and acceptance."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from slamcli.core.camera import projection
-from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.calibration import Calibration, top_down_calibration
 from slamcli.core.config import FeatureMethod, FeatureOptions, MapperOptions, MatchOptions
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Grid
@@ -20,11 +19,14 @@ from slamcli.registration import RegistrationResult, register
 from slamcli.registration.preparation import assemble
 from slamcli.stages import align, dense, features, local_correlation, view
 
+# Least correlation of the two pictures under a fit, the median over small windows of the overlap
+# [guarded by tests/run/match/test_match.py].
 MIN_CORRELATION = 0.4
-# With several fronts to choose from, so few inliers are believed when the pixels agree this well.
+# With several recipes to choose from, so few inliers are accepted when the pixels agree this well
+# [guarded by tests/run/match].
 MIN_CONFIRMED_INLIERS = 6
 CONFIRMING_CORRELATION = 0.7
-# So many times the inliers that are needed make it idle to try another front.
+# With this many times the inliers needed, no other recipe is tried.
 _STRONG_FACTOR = 2
 # Enlarging a picture beyond this many pixels costs seconds.
 _MAX_ENLARGED_PIXELS = 6_000_000
@@ -51,9 +53,10 @@ class FeatureRecipe:
         return self.method.upper() + (f" x{self.enlargement}" if self.enlargement > 1 else "")
 
 
-# From cheap to dear: what fits two like pictures comes first; small or blurred ones need an
-# enlargement, or the scale space of SIFT, which ORB's eight levels only approximate.
-AUTO_FRONTS: Final = (
+# From fast to slow: what fits two similar pictures comes first; small or blurred ones need an
+# enlargement, or the scale space of SIFT, which ORB's eight levels only approximate
+# [guarded by tests/run/match].
+AUTO_RECIPES: Final = (
     FeatureRecipe("orb", 1, 4000),
     FeatureRecipe("orb", 2, 10000),
     FeatureRecipe("sift", 1, 5000),
@@ -63,7 +66,7 @@ AUTO_FRONTS: Final = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairImage:
-    """One of the two, as read and as seen.
+    """One of the two pictures: as read, and as a view.
 
     Attributes
     ----------
@@ -80,28 +83,28 @@ class PairImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairFit:
-    """What came of one front.
+    """Result of fitting the pair with one recipe.
 
     Attributes
     ----------
-    front : FeatureRecipe
+    recipe : FeatureRecipe
     alignment : FeatureAlignment
         Of ``first_from_second``.
     first, second : Features
     correlation : float
         Median over small windows of the overlap; nan when nothing could be compared.
     reason : str
-        Why it is not believed; empty when it is.
+        Why it is rejected; empty when it is accepted.
     trial : RegistrationResult or None
-        What the pixels alone said, when the features did not convince.
+        Result of the search over the pixels, when the features were rejected.
     obstacles : (ObstacleMask, ObstacleMask) or None
-        Where something stands on the floor, in either view; None when nothing fits, or in plain
+        Where an obstacle stands on the floor, in either view; None when nothing fits, or in plain
         pictures.
     obstacle_inliers : int
-        Of the features' fit: so many lie on it, and were left out where that helped.
+        How many inliers of the features lie on it; they were left out where that helped.
     """
 
-    front: FeatureRecipe
+    recipe: FeatureRecipe
     alignment: FeatureAlignment
     first: Features
     second: Features
@@ -113,7 +116,7 @@ class PairFit:
 
 
 def read_picture(file: FrameFile) -> Frame:
-    """Return a frame that is needed; raises InputError that names the file."""
+    """Return a frame; raises InputError that names the file."""
     try:
         return read_frame(file)
     except FrameError as error:
@@ -130,9 +133,7 @@ def plain_picture(frame: Frame, enlargement: int = 1) -> PairImage:
         size = (grid.width, grid.height)
         gray = np.asarray(cv2.resize(gray, size, interpolation=cv2.INTER_CUBIC), np.uint8)
         mask = np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)
-    return PairImage(
-        frame, View(grid, gray, mask), projection.top_down_calibration((width, height))
-    )
+    return PairImage(frame, View(grid, gray, mask), top_down_calibration((width, height)))
 
 
 def birdseye_picture(frame: Frame, calibration: Calibration, metres_per_pixel: float) -> PairImage:
@@ -149,37 +150,37 @@ def birdseye_picture(frame: Frame, calibration: Calibration, metres_per_pixel: f
 def fit_pair(
     first: PairImage,
     second: PairImage,
-    fronts: tuple[FeatureRecipe, ...],
+    recipes: tuple[FeatureRecipe, ...],
     feature_options: FeatureOptions,
     match_options: MatchOptions,
 ) -> PairFit:
-    """Try fronts in order; return the first strong fit, else the one that the pixels like best.
+    """Try recipes in order; return the first strong fit, else that of the highest correlation.
 
-    A fit with fewer inliers than `match_options` ask for is believed too, when there are several
-    fronts to try, if the pixels confirm it beyond doubt.
+    A fit with fewer inliers than `match_options` require is accepted too, when there are several
+    recipes to try, if the correlation is at least `CONFIRMING_CORRELATION`.
     """
     enough = match_options.min_inliers
-    strong = _STRONG_FACTOR * enough if len(fronts) > 1 else enough
-    if len(fronts) > 1:
+    strong = _STRONG_FACTOR * enough if len(recipes) > 1 else enough
+    if len(recipes) > 1:
         match_options = replace(match_options, min_inliers=min(enough, MIN_CONFIRMED_INLIERS))
     fits: list[PairFit] = []
-    for front in fronts:
-        if fits and not _affordable(front, first, second):
+    for recipe in recipes:
+        if fits and not _affordable(recipe, first, second):
             continue
-        fit = _try(front, first, second, feature_options, match_options)
+        fit = _fit_by(recipe, first, second, feature_options, match_options)
         few = fit.alignment.inlier_count < enough
-        fit = _judge(fit, CONFIRMING_CORRELATION if few else MIN_CORRELATION)
+        fit = _confirm(fit, CONFIRMING_CORRELATION if few else MIN_CORRELATION)
         if not fit.reason and fit.alignment.inlier_count >= strong:
             return fit
         fits.append(fit)
-    believed = [fit for fit in fits if not fit.reason]
-    if believed:
-        return max(believed, key=lambda fit: fit.correlation)
+    accepted = [fit for fit in fits if not fit.reason]
+    if accepted:
+        return max(accepted, key=lambda fit: fit.correlation)
     return max(fits, key=lambda fit: fit.alignment.inlier_count)
 
 
-def _judge(fit: PairFit, min_correlation: float) -> PairFit:
-    """Return the fit with a reason when the pixels do not confirm it."""
+def _confirm(fit: PairFit, min_correlation: float) -> PairFit:
+    """Return the fit, rejected where the pixels do not confirm it."""
     if fit.reason or fit.correlation >= min_correlation:
         return fit
     if math.isnan(fit.correlation):
@@ -191,26 +192,26 @@ def _judge(fit: PairFit, min_correlation: float) -> PairFit:
     )
 
 
-def _affordable(front: FeatureRecipe, first: PairImage, second: PairImage) -> bool:
+def _affordable(recipe: FeatureRecipe, first: PairImage, second: PairImage) -> bool:
     pixels = sum(p.view.grid.width * p.view.grid.height for p in (first, second))
-    return front.enlargement == 1 or pixels * front.enlargement**2 <= _MAX_ENLARGED_PIXELS
+    return recipe.enlargement == 1 or pixels * recipe.enlargement**2 <= _MAX_ENLARGED_PIXELS
 
 
-def _try(
-    front: FeatureRecipe,
+def _fit_by(
+    recipe: FeatureRecipe,
     first: PairImage,
     second: PairImage,
     feature_options: FeatureOptions,
     match_options: MatchOptions,
 ) -> PairFit:
     options = replace(
-        feature_options, method=front.method, count=front.count or feature_options.count
+        feature_options, method=recipe.method, count=recipe.count or feature_options.count
     )
     found = []
     for picture in (first, second):
         shown = picture.view
-        if front.enlargement > 1:
-            shown = plain_picture(picture.frame, front.enlargement).view
+        if recipe.enlargement > 1:
+            shown = plain_picture(picture.frame, recipe.enlargement).view
         found.append(features.extract(shown, picture.calibration, options))
     alignment = align.align(found[0], found[1], match_options)
     correlation = math.nan
@@ -218,11 +219,11 @@ def _try(
         correlation = local_correlation.local_correlation(
             first.view, second.view, alignment.a_from_b
         )
-    return PairFit(front, alignment, found[0], found[1], correlation, alignment.reason)
+    return PairFit(recipe, alignment, found[0], found[1], correlation, alignment.reason)
 
 
 def _prepared(index: int, picture: PairImage, found: Features) -> PreparedFrame:
-    """Return a bird's-eye picture as the mapper would compare it."""
+    """Return a bird's-eye picture as the mapper would register it."""
     frame, views = picture.frame, [picture.view]
     far = view.make_far_resampler(picture.calibration, picture.view.grid.metres_per_pixel)
     if far is not None:
@@ -231,12 +232,12 @@ def _prepared(index: int, picture: PairImage, found: Features) -> PreparedFrame:
 
 
 def search_pair(first: PairImage, second: PairImage, fit: PairFit) -> PairFit:
-    """Let the pixels of two bird's-eye views decide where their features did not.
+    """Search the motion between two bird's-eye views by their pixels, after their features failed.
 
     Returns
     -------
     PairFit
-        Of the motion that the pixels single out, or the given one with what they said.
+        Of the motion found, or the given one with both reasons.
     """
     prepared = [_prepared(0, first, fit.first), _prepared(1, second, fit.second)]
     options = MapperOptions(max_turn_degrees=180.0)

@@ -1,4 +1,4 @@
-"""What stands on the floor of two bird's-eye views, and their fit without it."""
+"""Obstacles on the floor of two bird's-eye views, and the fit without them."""
 
 from __future__ import annotations
 
@@ -15,27 +15,28 @@ from slamcli.core.records import FeatureAlignment, PyramidLevel
 from slamcli.run.match.fitting import PairFit, PairImage
 from slamcli.stages import align, dense, local_correlation
 
-# So many times its tilt sigma may a camera rock between two pictures.
+# How far a camera may rock between two pictures, in its tilt sigmas, tried in turn
+# [guarded by tests/run/paint/test_obstacles.py].
 _ROCKING_TIMES = (0.0, 1.0, 5.0)
 
 
 def without_obstacles(
     first: PairImage, second: PairImage, fit: PairFit, min_inliers: int
 ) -> PairFit:
-    """Return the fit of two bird's-eye views with what stands on their floor.
+    """Return the fit of two bird's-eye views with the obstacles on their floor.
 
-    Inliers that lie on it are left out and the motion is fitted again, where at least so many are
-    left and the pixels of the views then agree better.
+    Inliers on an obstacle are left out and the motion is fitted again, where at least `min_inliers`
+    are left and the pixels of the views then agree better.
     """
     pose = fit.alignment.pose
     if fit.reason or pose is None:
         return fit
     calibration = first.calibration
     levels_a, levels_b = (dense.make_levels(picture.view) for picture in (first, second))
-    shown = _registered(levels_a, levels_b, pose, calibration)
+    view_a_from_view_b = _registered(levels_a, levels_b, pose, calibration)
     marks = (
-        dense.find_obstacles(levels_a, levels_b, shown, calibration),
-        dense.find_obstacles(levels_b, levels_a, invert(shown), calibration),
+        dense.find_obstacles(levels_a, levels_b, view_a_from_view_b, calibration),
+        dense.find_obstacles(levels_b, levels_a, invert(view_a_from_view_b), calibration),
     )
     matches = fit.alignment.matches
     marked = marks[0].marks(fit.first.points[matches[:, 0]])
@@ -92,7 +93,7 @@ def _registered(
 ) -> Float64Array:
     """Return (3, 3): how the views' floors lie best upon each other, the camera's rocking allowed.
 
-    What is left of a tilt that differs between the frames would pass for something that stands.
+    A tilt that differs between the frames, where it is not removed, would look like an obstacle.
     """
     best = pose.matrix
     highest = dense.agreement(levels_a[0], levels_b[0], best).correlation

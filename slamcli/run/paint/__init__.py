@@ -1,1 +1,1 @@
-"""Painting a map of frames that have their poses, and writing it."""
+"""The second pass of a map: frames painted from their final poses, and written."""

@@ -1,4 +1,4 @@
-"""Small gray pictures of frames that have been read, which need not be decoded for it again."""
+"""Thumbnails of decoded frames, kept for the exposure comparison."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _MAX_BYTES = 40_000_000
 
 
 class Thumbnails:
-    """What frames look like from afar, of as many as fit; may be shared by threads.
+    """Thumbnails of the first frames, up to a limit in bytes; may be shared by threads.
 
-    In another process it is empty.
+    They spare decoding a frame a second time. In another process it is empty.
     """
 
     def __init__(self) -> None:
@@ -28,26 +28,26 @@ class Thumbnails:
         return Thumbnails, ()
 
     def keep(self, frame: Frame) -> None:
-        """Remember what a frame looks like, while there is room."""
+        """Add a frame's thumbnail, while there is room."""
         if self._bytes < _MAX_BYTES:
-            small = glimpse(frame)
+            small = thumbnail(frame)
             with self._lock:
                 self._kept[frame.index] = small
                 self._bytes += small.nbytes
 
     def take(self, file: FrameFile) -> UInt8Array | None:
-        """Return what a frame looks like, and forget it; None when it was not kept."""
+        """Remove and return a frame's thumbnail; None when it was not kept."""
         with self._lock:
             small = self._kept.pop(file.index, None)
             self._bytes -= 0 if small is None else small.nbytes
         return small
 
 
-def glimpse(frame: Frame) -> UInt8Array:
-    """Return a frame as `exposure.observe` takes it."""
-    return exposure.reduced(view.to_gray(frame.image))
+def thumbnail(frame: Frame) -> UInt8Array:
+    """Return a frame as `exposure.observe` takes it: gray, (h, w), reduced."""
+    return exposure.thumbnail(view.to_gray(frame.image))
 
 
-def read_glimpse(file: FrameFile) -> UInt8Array:
-    """Return what `Thumbnails` would have kept of a frame; raises FrameError."""
-    return glimpse(read_frame(file, gray=True))
+def read_thumbnail(file: FrameFile) -> UInt8Array:
+    """Return the thumbnail of a frame that was not kept; raises FrameError."""
+    return thumbnail(read_frame(file, gray=True))

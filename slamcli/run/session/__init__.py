@@ -1,1 +1,1 @@
-"""What a running command carries: its threads or cluster, and how it is interrupted."""
+"""The session of a command: executor, progress and interruption."""

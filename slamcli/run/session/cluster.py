@@ -1,7 +1,7 @@
-"""Work on other processes and machines, through a Dask cluster.
+"""The cluster: work on other processes and machines, through Dask.
 
-Each worker is given a function once and keeps it, with all that it holds; a worker that dies takes
-no result with it that is not computed anew on another. Frames go by path: every machine must find
+Each worker gets a function once and keeps it, with all that it refers to; the results of a worker
+that dies are computed anew on another. Frames are sent by path: every machine must find
 them under the same one.
 """
 
@@ -19,7 +19,7 @@ from slamcli.core.errors import InputError
 # The function travels with the first task that needs it, some megabytes of it.
 _QUIET = {"distributed.admin.large-graph-warning-threshold": "1GB"}
 _CONNECT_SECONDS = 10
-# A frame that kills so many workers is not given to one more.
+# A frame that kills more workers than this fails the run.
 _MAX_DEATHS = 4
 
 
@@ -40,7 +40,7 @@ class Cluster(Executor):
         """Schedule ``fn(*args)``; `fn` is sent only once."""
         if fn not in self._kept:
             # As the result of a task, not as data: a worker that dies with it is no loss.
-            self._kept[fn] = self._client.submit(_same, _Held(fn), pure=False)
+            self._kept[fn] = self._client.submit(_same, _Wrapped(fn), pure=False)
         future: Future[Any] = self._executor.submit(_call, self._kept[fn], *args, **kwargs)
         return future
 
@@ -83,17 +83,17 @@ def connected(address: str) -> Iterator[Cluster]:
             yield Cluster(client)
 
 
-class _Held:
-    """A function inside of something: Dask would take it for a task of its own."""
+class _Wrapped:
+    """A function inside of an object: Dask would take the bare one for a task."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.function = function
 
 
-def _same(held: _Held) -> _Held:
-    return held
+def _same(wrapped: _Wrapped) -> _Wrapped:
+    return wrapped
 
 
-def _call(held: _Held, *arguments: Any) -> Any:
+def _call(wrapped: _Wrapped, *arguments: Any) -> Any:
     cv2.setNumThreads(1)
-    return held.function(*arguments)
+    return wrapped.function(*arguments)

@@ -1,4 +1,4 @@
-"""Work done ahead of its turn: pure functions on threads or on a cluster, results in order."""
+"""The executor: pure functions run ahead on threads or on a cluster, with results in order."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import cv2
 
@@ -15,13 +15,6 @@ from slamcli.run.session.cluster import connected
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-
-
-class Progress(Protocol):
-    """Told after each step of a stage of the work."""
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        """Take note that `done` of `total` steps of `stage` are finished."""
 
 
 def default_workers() -> int:
@@ -66,7 +59,7 @@ def ordered(
 
 @contextmanager
 def threads(workers: int) -> Iterator[Executor]:
-    """Yield so many threads, OpenCV's own switched off meanwhile."""
+    """Yield a pool of threads, OpenCV's own switched off meanwhile."""
     with _alone(), ThreadPoolExecutor(workers) as executor:
         yield executor
 

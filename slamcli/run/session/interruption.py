@@ -1,4 +1,4 @@
-"""Ctrl-C between two steps, not in the middle of one; a second one ends at once."""
+"""Ctrl-C served between two steps of the work; a second one ends the program at once."""
 
 from __future__ import annotations
 
@@ -10,40 +10,37 @@ from types import FrameType
 
 
 class Interruption:
-    """Whether the user has asked to stop.
+    """The user's requests to stop, recorded by a signal handler and served between two steps.
 
     Attributes
     ----------
     happened : bool
-        Whether that has been heeded, once or more.
+        Whether a request was served, once or more.
     """
 
     def __init__(self) -> None:
         self.happened = False
-        self._asked = False
+        self._requested = False
 
-    def note(self, _number: int, _frame: FrameType | None) -> None:
-        """Take note of a request; raise KeyboardInterrupt at one more before it was heeded."""
-        if self._asked:
+    @contextmanager
+    def on_sigint(self) -> Iterator[None]:
+        """Record Ctrl-C meanwhile; without effect in a thread that no signal reaches."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = signal.signal(signal.SIGINT, self._request)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+    def stops_here(self) -> bool:
+        """Return whether to stop the current stage; later stages run on until the next request."""
+        requested, self._requested = self._requested, False
+        self.happened |= requested
+        return requested
+
+    def _request(self, _number: int, _frame: FrameType | None) -> None:
+        if self._requested:
             raise KeyboardInterrupt
-        self._asked = True
-
-    def heeded(self) -> bool:
-        """Tell whether to stop what is being done now; what follows goes on until asked again."""
-        asked, self._asked = self._asked, False
-        self.happened |= asked
-        return asked
-
-
-@contextmanager
-def interruptible() -> Iterator[Interruption]:
-    """Yield what tells whether Ctrl-C was pressed; in a thread that no signal reaches, never."""
-    interruption = Interruption()
-    if threading.current_thread() is not threading.main_thread():
-        yield interruption
-        return
-    before = signal.signal(signal.SIGINT, interruption.note)
-    try:
-        yield interruption
-    finally:
-        signal.signal(signal.SIGINT, before)
+        self._requested = True

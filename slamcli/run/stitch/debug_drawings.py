@@ -1,4 +1,4 @@
-"""Drawings of the comparisons that the mapper made, for `slam stitch --debug`."""
+"""Drawings of `slam stitch --debug`: every registration of a frame, with its matches."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from slamcli.stages import view
 
 
 def draw_trials(trials: Sequence[RegistrationResult], folder: Path) -> None:
-    """Draw every comparison that placed a frame, or failed to."""
+    """Draw the registrations of one frame, those that placed it and those that failed."""
     for trial in trials:
         first, second, fit = trial.keyframe, trial.prepared, trial.alignment
         picture_first, points_first, to_first = _drawable(first, fit.matches[:, 0])
@@ -51,7 +51,7 @@ def _drawable(
 ) -> tuple[UInt8Array, Float64Array, Float64Array]:
     """Return a frame's view, its chosen points in that view's pixels, and pixel_from_metres.
 
-    Of a keyframe from long ago only half the resolution is kept.
+    An old keyframe has only half the resolution left.
     """
     assert prepared.features is not None
     if prepared.view is not None:

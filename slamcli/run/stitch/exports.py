@@ -1,4 +1,4 @@
-"""What `slam stitch --export` writes beside the map, for other tools."""
+"""Exports of `slam stitch --export`: trajectories, pose graph and track, for other tools."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def check_exports(kinds: Sequence[str], files: Sequence[FrameFile], *, has_gps: 
             f"{unstamped.path} has no stamp, which --export tum needs; give --frame-rate"
         )
     if "geojson" in kinds and not has_gps:
-        raise InputError("--export geojson needs --gps, which tells where on Earth the track is")
+        raise InputError("--export geojson needs --gps, which places the track on Earth")
 
 
 def write_exports(
     folder: Path, kinds: Sequence[str], found: RegisteredDrive, mapper: Mapper
 ) -> None:
-    """Write what was asked for, a file a fragment, or one for all."""
+    """Write the exports of these kinds, a file for each fragment, or one for all."""
     fragments = placed_fragments(found.estimates)
     off = found.switched_off
     links = [link for number, link in enumerate(found.links) if number not in off]
@@ -62,7 +62,7 @@ def write_exports(
 
 
 def datums(mapper: Mapper) -> dict[int, Datum]:
-    """Return where the origins of the fragments that GPS tells of lie."""
+    """Return the origin on Earth of every fragment with enough GPS readings."""
     found = {}
     for fragment, on_earth in mapper.georeferences.items():
         pose, plane = on_earth.east_north_from_map, LocalPlane(on_earth.datum_degrees)
@@ -72,7 +72,7 @@ def datums(mapper: Mapper) -> dict[int, Datum]:
 
 
 def georeference_table(found: Georeference) -> dict[str, Scalar]:
-    """Return where a map lies on Earth as a table: degrees, metres and, of angles, degrees."""
+    """Return a map's place on Earth as a table of run.toml: degrees and metres."""
     pose, sigmas = found.east_north_from_map, np.sqrt(np.diag(found.covariance))
     return {
         "datum_latitude_degrees": found.datum_degrees[0],
@@ -91,8 +91,8 @@ def georeference_table(found: Georeference) -> dict[str, Scalar]:
     }
 
 
-def tell(found: Georeference) -> str:
-    """Return how well a map's place on Earth is known, in a line."""
+def describe(found: Georeference) -> str:
+    """Return the accuracy of a map's place on Earth, as a line."""
     sigmas = np.sqrt(np.diag(found.covariance))
     return (
         f"origin known to {max(sigmas[:2]):.2g} m, direction to {math.degrees(sigmas[2]):.2g} "

@@ -1,4 +1,4 @@
-"""`slam stitch --extend`: a finished map and a later drive as one sequence of frames."""
+"""`slam stitch --extend`: a finished map and the frames of a later drive as one sequence."""
 
 from __future__ import annotations
 
@@ -11,14 +11,12 @@ from slamcli.core.errors import InputError
 from slamcli.core.records import FloorMap
 from slamcli.io.frames import list_frames
 from slamcli.io.map_file import MAP_NAME, load_map
-from slamcli.io.runs import read_run
-from slamcli.run.inputs import Inputs, check_size
-from slamcli.run.render import file_of
+from slamcli.run.inputs import Inputs, check_size, map_file_of, map_sources
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Extension:
-    """What it takes to go on with a finished map.
+    """A finished map and the frames of both drives, to be stitched as one sequence.
 
     Attributes
     ----------
@@ -33,10 +31,10 @@ class Extension:
     sources: tuple[Path, ...]
     inputs: Inputs
 
-    def options(self, told: MapperOptions) -> MapperOptions:
-        """Return a mapper's options with the map's own ways of seeing."""
+    def options(self, given: MapperOptions) -> MapperOptions:
+        """Return a mapper's options with the map's own features, resolution and tilt sigma."""
         return replace(
-            told,
+            given,
             features=self.floor_map.features,
             metres_per_pixel=self.floor_map.metres_per_pixel,
             tilt_sigma_degrees=self.floor_map.tilt_sigma_degrees,
@@ -44,37 +42,32 @@ class Extension:
 
 
 def open_extension(finished: Path, later: Sequence[Path], frame_rate: float | None) -> Extension:
-    """Return a finished map and the frames of a later drive, in the order of their taking.
+    """Return a finished map and the frames of a later drive, in the order they were taken.
 
     As poses of the map may move, its frames are painted again and must still be where they were.
 
     Parameters
     ----------
     finished : Path
-        Output of `slam stitch`, or the map in it.
+        Output of `slam stitch`, or the map in it; only its map.slam is read.
     later : sequence of Path
 
     Raises
     ------
     InputError, MapError, CalibrationError
     """
-    floor_map, run = load_map(finished), read_run(finished)
-    remedy = "put them back, or stitch both drives anew"
-    gone = next((source for source in run.sources if not source.exists()), None)
-    if gone is not None:
-        raise InputError(
-            f"{gone}, where the frames of the map were, does not exist; they are painted again "
-            f"with the later ones: {remedy}"
-        )
-    known = {source.resolve() for source in run.sources}
-    again = next((source for source in later if source.resolve() in known), None)
+    floor_map = load_map(finished)
+    path = finished / MAP_NAME if finished.is_dir() else finished
+    remedy = "put them back, as they are painted again, or stitch both drives as one"
+    known = map_sources(floor_map, path, remedy)
+    resolved = {source.resolve() for source in known}
+    again = next((source for source in later if source.resolve() in resolved), None)
     if again is not None:
         raise InputError(f"{again} is part of that map already; give the frames of a later drive")
-    sources = (*run.sources, *later)
+    sources = (*known, *later)
     files = list_frames(sources, frame_rate)
     for estimate in floor_map.estimates:
-        file_of(files, estimate, remedy=remedy)
-    path = finished / MAP_NAME if finished.is_dir() else finished
+        map_file_of(files, estimate, remedy=remedy)
     check_size(list_frames(later), floor_map.calibration, path)
-    note = f"the map of {finished} is gone on with, by its own camera and features"
+    note = f"extending the map of {finished}, with its own camera and features"
     return Extension(floor_map, sources, Inputs(files, floor_map.calibration, path, note))

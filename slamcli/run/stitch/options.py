@@ -1,4 +1,4 @@
-"""What `slam stitch` is asked for."""
+"""The options of `slam stitch`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from slamcli.run.networks import NO_NETWORKS, NetworkFiles
 
 @dataclass(frozen=True, slots=True)
 class StitchOptions:
-    """What `slam stitch` was told.
+    """Options of `slam stitch`; run.toml lists them.
 
     Attributes
     ----------
@@ -26,20 +26,17 @@ class StitchOptions:
     frame_rate : float or None
         Frames per second, for stamps.
     self_calibrate : bool
-        Refine the camera by the frames themselves, where they determine it.
+        Refine the camera by the frames, where they determine it.
     debug : bool
         Also draw every frame's matches.
     export : tuple of str
-        What else to write; see `slamcli.run.stitch.exports`.
+        Other files to write; see `slamcli.run.stitch.exports`.
     extend : Path or None
-        A finished map that is gone on with.
+        A finished map that the frames are added to.
     resume : bool
-        Go on with what an earlier run of the same kind, cut off, has left.
-    workers : int
-        Threads.
-    scheduler : str
-        Address of a Dask scheduler whose workers prepare frames and paint tiles instead; empty for
-        none.
+        Continue an earlier run of the same frames and options that was cut off.
+    strict : bool
+        Exit 3 when any frame is lost.
     """
 
     mapper: MapperOptions
@@ -53,5 +50,4 @@ class StitchOptions:
     export: tuple[str, ...] = ()
     extend: Path | None = None
     resume: bool = False
-    workers: int = 1
-    scheduler: str = ""
+    strict: bool = False

@@ -1,64 +1,105 @@
-"""What `slam stitch` tells when it is done: the closing table and run.toml."""
+"""What `slam stitch` reports at its end: the closing table with the exit code, and run.toml."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from slamcli import __version__
+from slamcli.core.exit_codes import ExitCode, of_placement
 from slamcli.core.geometry import path_length
-from slamcli.core.records import PoseEstimate
 from slamcli.io import runs, toml
 from slamcli.mapping.backend.pose_graph import placed_fragments
-from slamcli.mapping.mapper import Mapper
 from slamcli.run.calibrate.self_calibration import describe, run_section
-from slamcli.run.inputs import Inputs
 from slamcli.run.networks import LEARNED
+from slamcli.run.paint.outputs import PaintedMaps
+from slamcli.run.session.session import Session
 from slamcli.run.stitch import exports
-from slamcli.run.stitch.options import StitchOptions
-from slamcli.run.telemetry import TelemetryFiles
-from slamcli.selfcal import SelfCalibration
-
-# The exit code of a program that SIGINT ended.
-_INTERRUPTED = 130
+from slamcli.run.stitch.drive import Drive, LocatedDrive
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StitchReport:
-    """What came of it, as the lines of the closing table, and the exit code."""
+    """The lines of the closing table, and the exit code."""
 
     lines: tuple[str, ...]
-    exit_code: int
+    exit_code: ExitCode
 
 
-def write_run(
-    path: Path,
-    sources: Sequence[Path],
-    inputs: Inputs,
-    options: StitchOptions,
-    files: TelemetryFiles,
-    estimates: Sequence[PoseEstimate],
-    mapper: Mapper,
-    refined: SelfCalibration | None,
-) -> None:
-    """Write run.toml: what was told, and what came of it."""
-    sections: dict[str, dict[str, toml.Scalar]] = {
-        "": {
-            "version": __version__,
-            "calibration": str(inputs.calibration_path) if inputs.calibration_path else None,
-            "unit": inputs.calibration.unit,
-            "first_frame": str(inputs.files[0].path),
-            "sources": runs.source_text(sources),
-            "registration_metres_per_pixel": mapper.metres_per_pixel,
-            "odometry": str(files.odometry) if files.odometry else None,
-            "compass": str(files.compass) if files.compass else None,
-            "gps": str(files.gps) if files.gps else None,
-        }
-    }
-    sections["camera"] = runs.camera_section(inputs.calibration)
-    for section, key, value in toml.flatten(replace(options, resume=False)):
-        sections.setdefault(f"options.{section}".rstrip("."), {})[key] = value
+def report(
+    located: LocatedDrive,
+    painted: PaintedMaps,
+    output: Path,
+    seconds: float,
+    *,
+    interrupted: bool,
+) -> StitchReport:
+    """Return the closing table; its first lines give the reason of any exit code but 0."""
+    estimates, inputs = located.estimates, located.drive.inputs
+    placed = [e.map_from_robot for e in estimates if e.map_from_robot is not None]
+    code = of_placement(len(placed), len(estimates), strict=located.drive.options.strict)
+    lines = [inputs.note] if inputs.note else []
+    if interrupted:
+        code = ExitCode.INTERRUPTED
+        lines.append("interrupted: written is what there was; --resume continues from there")
+    elif code == ExitCode.INCOMPLETE:
+        lines.append(f"incomplete: {len(placed)} of {len(estimates)} placed")
+    if painted.unread:
+        code = ExitCode.INCOMPLETE if code == ExitCode.DONE else code
+        lines.append(painted.note)
+    rows = [
+        ("frames", str(len(estimates))),
+        ("placed", f"{len(placed)} ({len(placed) / len(estimates):.0%})"),
+        *_map_rows(located, painted),
+        ("time", f"{seconds:.1f} s, {len(estimates) / seconds:.1f} frames/s"),
+        ("written to", str(output)),
+    ]
+    method = located.mapper.options.features.method
+    if method in LEARNED:
+        rows.append(("map.slam", f"to render; slam locate and --extend do not take {method}"))
+    lines += [f"{name:<12} {value}" for name, value in rows]
+    if located.self_calibration is not None:
+        lines += describe(located.self_calibration)
+    return StitchReport(tuple(lines), code)
+
+
+def _map_rows(located: LocatedDrive, painted: PaintedMaps) -> list[tuple[str, str]]:
+    """Return the rows on the map: its fragments, the sensors' part, lost frames and its size."""
+    fragments = placed_fragments(located.estimates)
+    length = sum(
+        path_length([e.map_from_robot for e in members if e.map_from_robot is not None])
+        for members in fragments.values()
+    )
+    unit = located.calibration.unit
+    return [
+        ("fragments", str(len(fragments))),
+        *_sensor_rows(located),
+        *(("lost", f"{e.name}: {e.reason}") for e in located.estimates if e.status == "lost"),
+        ("path length", f"{length:.3f} {unit}"),
+        ("area", f"{painted.area_square_metres:.3f} {unit}²"),
+    ]
+
+
+def _sensor_rows(located: LocatedDrive) -> list[tuple[str, str]]:
+    rows, mapper = [], located.mapper
+    predicted = sum(e.status == "predicted" for e in located.estimates)
+    if predicted:
+        rows.append(("predicted", f"{predicted}, carried by odometry"))
+    if mapper.switched_off:
+        rows.append(("links off", f"{len(mapper.switched_off)}, contradicted by the others"))
+    if located.time_offset:
+        rows.append(("time offset", located.time_offset))
+    rows += [("on Earth", exports.describe(found)) for found in mapper.georeferences.values()]
+    if mapper.sensors.datum_degrees is not None and not mapper.georeferences:
+        rows.append(("on Earth", "not known: the way is too short for the accuracy of the GPS"))
+    return rows
+
+
+def write_run(path: Path, located: LocatedDrive, session: Session) -> None:
+    """Write run.toml: inputs, camera, options, and the counts of the result."""
+    estimates, mapper = located.estimates, located.mapper
+    sections = {"": _inputs_section(located), "camera": runs.camera_section(located.calibration)}
+    sections |= _option_sections(located.drive, session)
     sections["counts"] = {
         "frames": len(estimates),
         "placed": sum(e.map_from_robot is not None for e in estimates),
@@ -71,68 +112,29 @@ def write_run(
     for fragment, georeference in mapper.georeferences.items():
         name = "georeference" if fragment == 0 else f"georeference_{fragment}"
         sections[name] = exports.georeference_table(georeference)
-    if refined is not None:
-        sections["self_calibration"] = run_section(refined)
+    if located.self_calibration is not None:
+        sections["self_calibration"] = run_section(located.self_calibration)
     toml.write_toml(path, sections)
 
 
-def report(
-    inputs: Inputs,
-    estimates: Sequence[PoseEstimate],
-    mapper: Mapper,
-    area_square_metres: float,
-    seconds: float,
-    output: Path,
-    time_offset: str,
-    refined: SelfCalibration | None,
-    *,
-    interrupted: bool,
-) -> StitchReport:
-    """Return the closing table; exit 1 when a sequence of frames yields no map at all."""
-    fragments = placed_fragments(estimates)
-    placed = sum(len(members) for members in fragments.values())
-    unit = inputs.calibration.unit
-    length = sum(
-        path_length([e.map_from_robot for e in members if e.map_from_robot is not None])
-        for members in fragments.values()
-    )
-    rows = [
-        ("frames", str(len(estimates))),
-        ("placed", f"{placed} ({placed / len(estimates):.0%})"),
-        ("fragments", str(len(fragments))),
-        *_said_of_telemetry(estimates, mapper, time_offset),
-    ]
-    rows += [("lost", f"{e.name}: {e.reason}") for e in estimates if e.status == "lost"]
-    rows += [
-        ("path length", f"{length:.3f} {unit}"),
-        ("area", f"{area_square_metres:.3f} {unit}²"),
-        ("time", f"{seconds:.1f} s, {len(estimates) / seconds:.1f} frames/s"),
-        ("written to", str(output)),
-    ]
-    lines = [inputs.note] if inputs.note else []
-    method = mapper.options.features.method
-    if method in LEARNED:
-        rows.append(("no map.slam", f"slam locate does not take the features of {method}"))
-    if interrupted:
-        lines.append("interrupted: written is what there was; --resume goes on from there")
-    lines += [f"{name:<12} {value}" for name, value in rows]
-    lines += [] if refined is None else describe(refined)
-    code = _INTERRUPTED if interrupted else 0 if placed else 1
-    return StitchReport(tuple(lines), code)
+def _inputs_section(located: LocatedDrive) -> dict[str, toml.Scalar]:
+    inputs, files = located.drive.inputs, located.drive.telemetry_files
+    return {
+        "version": __version__,
+        "calibration": str(inputs.calibration_path) if inputs.calibration_path else None,
+        "unit": located.calibration.unit,
+        "first_frame": str(inputs.files[0].path),
+        "sources": runs.source_text(located.drive.sources),
+        "registration_metres_per_pixel": located.mapper.metres_per_pixel,
+        "odometry": str(files.odometry) if files.odometry else None,
+        "compass": str(files.compass) if files.compass else None,
+        "gps": str(files.gps) if files.gps else None,
+    }
 
 
-def _said_of_telemetry(
-    estimates: Sequence[PoseEstimate], mapper: Mapper, time_offset: str
-) -> list[tuple[str, str]]:
-    rows = []
-    predicted = sum(e.status == "predicted" for e in estimates)
-    if predicted:
-        rows.append(("predicted", f"{predicted}, carried by odometry"))
-    if mapper.switched_off:
-        rows.append(("links off", f"{len(mapper.switched_off)}, contradicted by the others"))
-    if time_offset:
-        rows.append(("time offset", time_offset))
-    rows += [("on Earth", exports.tell(found)) for found in mapper.georeferences.values()]
-    if mapper.sensors.datum_degrees is not None and not mapper.georeferences:
-        rows.append(("on Earth", "not known: the way is too short for what the GPS tells"))
-    return rows
+def _option_sections(drive: Drive, session: Session) -> dict[str, dict[str, toml.Scalar]]:
+    sections: dict[str, dict[str, toml.Scalar]] = {}
+    for section, key, value in toml.flatten(replace(drive.options, resume=False)):
+        sections.setdefault(f"options.{section}".rstrip("."), {})[key] = value
+    sections["options"] |= {"workers": session.workers, "scheduler": session.scheduler}
+    return sections

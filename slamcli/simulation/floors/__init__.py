@@ -1,6 +1,6 @@
-"""Floors: textures made block by block from the seed, so that they never end and never repeat.
+"""Floor textures, procedural: made block by block from the seed, unbounded, without repetition.
 
-A block is filtered white noise; the noise of a pixel depends on the seed and its place alone, so
+A block is filtered white noise; the noise of a pixel depends on the seed and its position alone, so
 neighbouring blocks meet without a seam.
 """
 
@@ -21,7 +21,7 @@ from slamcli.simulation.floors import course, laid, poured
 BLOCK_PIXELS = 512
 # Enough for the floor before a robot; older blocks are made again when it comes back.
 _MAX_BLOCKS = 600
-# A camera sees far more floor from afar: of that the small levels, this one on, are kept for long.
+# A camera sees far more floor from afar, at coarse levels: from this level on more blocks are kept.
 _COARSE_LEVEL, _MAX_COARSE_BLOCKS = 3, 12_000
 _LEVELS = 6
 
@@ -36,7 +36,7 @@ class Floor(Protocol):
 
 
 class BlockFloor:
-    """A floor without end, made block by block; may be shared by threads.
+    """An unbounded floor, made block by block; may be shared by threads.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class BlockFloor:
         return levels[level]
 
     def _pyramid(self, column: int, row: int) -> list[UInt8Array]:
-        """Make a block: its levels, each the plain mean of four pixels below."""
+        """Return the levels of a block; each pixel is the mean of four of the level before."""
         span = BLOCK_PIXELS * self.metres_per_pixel
         grid = Grid(column * span, -row * span, self.metres_per_pixel, BLOCK_PIXELS, BLOCK_PIXELS)
         levels = [self._make_block(grid)]
@@ -114,12 +114,12 @@ def make_floor(kind: str, wear: float, metres_per_pixel: float, seed: int) -> Bl
 
 
 def make_wall(wear: float, metres_per_pixel: float, seed: int) -> BlockFloor:
-    """Return what hangs on a wall without end: x along it, y up from the floor."""
+    """Return the texture of an unbounded wall: x along it, y up from the floor."""
     return BlockFloor(lambda grid: laid.wall(grid, wear, seed), metres_per_pixel)
 
 
 def picture_floor(picture: UInt8Array, metres_per_pixel: float) -> BlockFloor:
-    """Return a picture (H, W, 3) laid on the floor, centred at the origin, mirrored endlessly."""
+    """Return a floor of a picture (H, W, 3), centred at the origin, mirrored endlessly."""
     height, width = picture.shape[:2]
     mirrored = np.vstack(
         [np.hstack([picture, picture[:, ::-1]]), np.hstack([picture[::-1], picture[::-1, ::-1]])]

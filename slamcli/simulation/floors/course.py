@@ -1,4 +1,4 @@
-"""The course of the 2015 IEEE SoutheastCon hardware competition, as we draw it."""
+"""The course floor: the 2015 IEEE SoutheastCon hardware competition's board, as drawn here."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from slamcli.simulation.floors.poured import concrete
 BOARD_METRES = (2.4384, 1.2192)
 SQUARE_METRES = 0.3048
 LINE_METRES = 0.0254
-# The course as we draw it: x along the board from its left end, y from its middle line.
+# The course as drawn here: x along the board from its left end, y from its middle line.
 _LINES = (
     ((0.45, -0.56), (0.45, 0.56)),
     ((0.385, 0.0), (0.45, 0.0)),
@@ -54,8 +54,8 @@ def _worn_paints(grid: Grid, wear: float, seed: int) -> tuple[Float32Array, Floa
     scratches = np.maximum(smooth_noise(grid, seed + 26, 0.0015, stretch=3.0) - 2.2, 0.0)
     chips = np.maximum(smooth_noise(grid, seed + 27, 0.0018) - 2.7, 0.0)
     column, row = np.meshgrid(np.arange(grid.width), np.arange(grid.height))
-    place = apply_homography(grid.metres_from_pixel, np.dstack([column, row]))
-    seam = np.exp(-(((place[..., 0]) / 0.0012) ** 2)).astype(np.float32)
+    metres = apply_homography(grid.metres_from_pixel, np.dstack([column, row]))
+    seam = np.exp(-(((metres[..., 0]) / 0.0012) ** 2)).astype(np.float32)
     dark = 46 + wear * (5 * grain + 6 * roller + 8 * clouds + 60 * scuffs + 120 * dust)
     dark += wear * (45 * scratches - 30 * seam)
     light = 226 + wear * (3 * grain + 4 * roller + 3 * clouds - 50 * scuffs - 70 * scratches)

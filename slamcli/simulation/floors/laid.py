@@ -1,4 +1,4 @@
-"""Laid floors, of pieces: tiles, planks and carpet. What repeats is what registration may confuse.
+"""Laid floors, periodic ones: tiles, planks and carpet, whose repetition is hard to register.
 
 `wear` 0 makes every piece the same (five prints of planks, one of tiles); with wear each gets its
 own tone and its own scratches and stains.
@@ -27,7 +27,7 @@ _SKIRTING_METRES = 0.08
 
 def tiles(grid: Grid, wear: float, seed: int) -> UInt8Array:
     """Paint glazed tiles with one weak print, and grout between them."""
-    x, y = _places(grid)
+    x, y = _positions(grid)
     column, row = np.floor(x / TILE_METRES).astype(int), np.floor(y / TILE_METRES).astype(int)
     across, along = x - column * TILE_METRES, y - row * TILE_METRES
     gray = 196 + _repeated(_tile_print, grid, (TILE_METRES, TILE_METRES), across, along, seed)
@@ -42,7 +42,7 @@ def tiles(grid: Grid, wear: float, seed: int) -> UInt8Array:
 def planks(grid: Grid, wear: float, seed: int) -> UInt8Array:
     """Paint laminate: rows of planks, shifted by a third, each one of five prints of grain."""
     length, width = PLANK_METRES
-    x, y = _places(grid)
+    x, y = _positions(grid)
     row = np.floor(y / width).astype(int)
     shifted = x + (row % 3) * length / 3
     column = np.floor(shifted / length).astype(int)
@@ -64,7 +64,7 @@ def planks(grid: Grid, wear: float, seed: int) -> UInt8Array:
 
 def carpet(grid: Grid, wear: float, seed: int) -> UInt8Array:
     """Paint loops of yarn in rows, each its own shade, and trodden patches."""
-    x, y = _places(grid)
+    x, y = _positions(grid)
     wobble = 0.0006 * smooth_noise(grid, seed + 51, 0.006)
     loops = np.sin(np.pi * (x + wobble) / _TUFT_METRES) * np.sin(np.pi * y / _TUFT_METRES)
     yarn = smooth_noise(grid, seed + 52, 0.0018)
@@ -76,7 +76,7 @@ def carpet(grid: Grid, wear: float, seed: int) -> UInt8Array:
 
 def wall(grid: Grid, wear: float, seed: int) -> UInt8Array:
     """Paint a wall, its foot at y 0: a skirting board, and pictures and shelves above it."""
-    _, y = _places(grid)
+    _, y = _positions(grid)
     hung = smooth_noise(grid, seed + 56, 0.12) > 0.9
     shade = smooth_noise(grid, seed + 57, 0.05)
     plaster = 178 + 2.0 * smooth_noise(grid, seed + 58, 0.002) + 6.0 * wear * shade
@@ -85,7 +85,7 @@ def wall(grid: Grid, wear: float, seed: int) -> UInt8Array:
     return tinted(gray.astype(np.float32), (0.97, 1.0, 1.03))
 
 
-def _places(grid: Grid) -> tuple[Float64Array, Float64Array]:
+def _positions(grid: Grid) -> tuple[Float64Array, Float64Array]:
     """Return the world x and y (h, w) of a grid's pixels."""
     matrix = grid.metres_from_pixel
     columns = matrix[0, 0] * np.arange(grid.width) + matrix[0, 2]
@@ -95,7 +95,7 @@ def _places(grid: Grid) -> tuple[Float64Array, Float64Array]:
 
 
 def _hashed(column: NDArray[np.int_], row: NDArray[np.int_], seed: int) -> Float64Array:
-    """Return a number in [-1, 1) for each piece, by its place and the seed alone."""
+    """Return a number in [-1, 1) for each piece, by its position and the seed alone."""
     min_column, min_row = int(column.min()), int(row.min())
     rows = int(row.max()) - min_row + 1
     # One number to a piece: numpy sorts pairs twenty times as slowly.
@@ -104,8 +104,8 @@ def _hashed(column: NDArray[np.int_], row: NDArray[np.int_], seed: int) -> Float
     for index, piece in enumerate(pieces):
         piece_column, piece_row = divmod(int(piece), rows)
         # Seeds are natural numbers; the offset keeps those of pieces left of the origin so.
-        place = piece_column + min_column + 2**31, piece_row + min_row + 2**31
-        values[index] = np.random.default_rng([seed, *place]).uniform(-1.0, 1.0)
+        position = piece_column + min_column + 2**31, piece_row + min_row + 2**31
+        values[index] = np.random.default_rng([seed, *position]).uniform(-1.0, 1.0)
     return values[inside]
 
 
@@ -117,12 +117,12 @@ def _repeated(
     along: Float64Array,
     seed: int,
 ) -> Float64Array:
-    """Read a print at places (metres) inside a piece."""
-    picture = printed(grid.metres_per_pixel, seed)
-    height, width = picture.shape
+    """Return a print read at positions (metres) inside a piece."""
+    image = printed(grid.metres_per_pixel, seed)
+    height, width = image.shape
     column = np.clip((across / size_metres[0] * width).astype(int), 0, width - 1)
     row = np.clip((along / size_metres[1] * height).astype(int), 0, height - 1)
-    return np.asarray(picture[row, column], np.float64)
+    return np.asarray(image[row, column], np.float64)
 
 
 @lru_cache(maxsize=4)
@@ -149,7 +149,7 @@ def _piece(metres_per_pixel: float, size_metres: tuple[float, float]) -> Grid:
 
 
 def _worn(grid: Grid, wear: float, seed: int) -> Float32Array:
-    """Return what use has added, (h, w) gray: scratches, stains and dust."""
+    """Return the traces of wear, (h, w) gray: scratches, stains and dust."""
     if wear == 0.0:
         return np.zeros((grid.height, grid.width), np.float32)
     scratches = np.maximum(smooth_noise(grid, seed + 61, 0.0010, stretch=10.0) - 2.2, 0.0)

@@ -1,4 +1,4 @@
-"""Noise that depends on the seed and its place alone, so that blocks of it meet without a seam."""
+"""Noise that depends on the seed and its position alone, so that blocks meet without a seam."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 from slamcli.core.arrays import Float32Array, UInt8Array
 from slamcli.core.geometry import Grid
 
-# White noise is drawn in pieces of this side: few more pixels than a block and its margin need.
+# White noise is drawn in pieces of this side, to draw few more pixels than a block needs.
 _NOISE_PIXELS = 128
 
 
 def white_noise(grid: Grid, seed: int, margin: int = 0) -> Float32Array:
-    """Return standard normal pixels, `margin` wider all round, that depend on their place alone."""
+    """Return standard normal pixels, `margin` wider all round, that depend on position alone."""
     left = round(grid.x_min / grid.metres_per_pixel) - margin
     top = round(-grid.y_max / grid.metres_per_pixel) - margin
     height, width = grid.height + 2 * margin, grid.width + 2 * margin
@@ -50,7 +50,7 @@ def smooth_noise(grid: Grid, seed: int, sigma_metres: float, stretch: float = 1.
     noise = white_noise(small, seed, margin)
     sigma_y = max(sigma / coarse, 0.4)
     sigma_x = sigma_y * stretch
-    blurred = np.asarray(cv2.GaussianBlur(noise, (0, 0), sigma_x, sigmaY=sigma_y))
+    blurred = cv2.GaussianBlur(noise, (0, 0), sigma_x, sigmaY=sigma_y)
     # White noise blurred by a Gaussian keeps 1 / (4 pi sigma_x sigma_y) of its variance.
     blurred = blurred * np.float32(np.sqrt(4 * np.pi * sigma_x * sigma_y))
     inner = blurred[margin:-margin, margin:-margin]

@@ -1,4 +1,4 @@
-"""Poured floors, of stones, chips and grain."""
+"""Poured floors, aperiodic ones: asphalt, concrete, terrazzo and a bare slab."""
 
 from __future__ import annotations
 

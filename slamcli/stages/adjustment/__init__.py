@@ -1,21 +1,21 @@
-"""Camera, poses and each frame's rocking from what overlapping frames both see.
+"""Bundle adjustment over a plane: camera, poses and each frame's rocking from tracked patches.
 
-`patches` finds the same spots of the floor in two pictures, `solver` the camera and the poses that
-explain them, `projection` carries pixels from frame to frame for both.
+`patch_tracking` finds the same spots of the floor in two images, `solver` the camera and the poses
+that explain them, `projection` transfers pixels from frame to frame for both.
 """
 
 from slamcli.stages.adjustment.patch_tracking import Matches, choose_points, track
 from slamcli.stages.adjustment.projection import FramePose, changed, transfer
 from slamcli.stages.adjustment.pyramid import MAX_LEVEL, Pyramid, make_pyramid
 from slamcli.stages.adjustment.solver import (
-    FIRST_ROCKING,
+    INITIAL_ROCKING_SIGMAS,
     Adjustment,
     adjust,
     residual_lengths,
 )
 
 __all__ = [
-    "FIRST_ROCKING",
+    "INITIAL_ROCKING_SIGMAS",
     "MAX_LEVEL",
     "Adjustment",
     "FramePose",

@@ -1,9 +1,9 @@
-"""The same spots of the floor in two pictures, found to hundredths of a pixel.
+"""Patch tracking (Lucas-Kanade): the same spots of the floor in two images, to 0.01 pixels.
 
-Small windows of one picture are looked for in the other near where the motion between them
-foretells it: an inverse-compositional Lucas-Kanade alignment (Baker and Matthews, IJCV 56, 2004) of
-a shift, on windows of zero mean and equal contrast, from coarse to fine. What a window shows tells
-in which direction its shift is known: along a plain line it is not, and the whitening says so.
+Patches of one image are searched in the other near where the motion between them predicts them, by
+pyramidal inverse-compositional alignment (Baker and Matthews, IJCV 56, 2004), from coarse to fine.
+The whitening of a match comes from the patch's structure: along a plain line the shift is unknown
+in one direction (aperture problem).
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from slamcli.core.arrays import Float64Array, Int64Array, UInt8Array
 from slamcli.stages.adjustment.patch_alignment import (
     HALF_PIXELS,
     Warp,
-    align,
-    cut,
-    evaluate,
-    judge,
-    slope_of_warp,
-    slopes,
+    align_patches,
+    cut_patches,
+    image_gradients,
+    patch_quality,
+    warp_centres,
+    warp_jacobian,
 )
 from slamcli.stages.adjustment.pyramid import MAX_LEVEL, Pyramid
 
-# Weaker gradients, in gray levels a pixel, are the camera's noise.
+# Weaker gradients, in gray levels per pixel, are the camera's noise.
+# [Both are guarded by benchmarks/self_calibration.py.]
 _MIN_GRADIENT_GRAY = 1.5
-# Corners tell both directions; a line's one is worth this share of it.
+# A corner fixes both directions; a line, which fixes one, is worth this share of it.
 _LINE_SHARE = 0.05
 
 
@@ -42,7 +43,7 @@ class Matches:
     a, b : int
         Frame indices.
     pixels_a, pixels_b : (N, 2) float64
-        In the frames' own pictures.
+        In the frames' own images.
     whitening : (N, 2, 2) float64
         Turns an error of `pixels_b` into standard deviations.
     """
@@ -58,7 +59,7 @@ class Matches:
 
 
 def choose_points(pyramid: Pyramid, seen: UInt8Array, count: int) -> Float64Array:
-    """Return up to about `count` (N, 2) pixels that tell most, one in each cell of a raster.
+    """Return up to about `count` (N, 2) most informative pixels, one in each cell of a raster.
 
     Parameters
     ----------
@@ -68,17 +69,16 @@ def choose_points(pyramid: Pyramid, seen: UInt8Array, count: int) -> Float64Arra
     usable = cv2.erode(np.minimum(pyramid.masks[0], seen), np.ones((5, 5)))
     area = int(np.count_nonzero(usable == 255))
     cell = max(4, math.ceil(math.sqrt(area / count)))
-    right, down = slopes(pyramid.images[0])
+    right, down = image_gradients(pyramid.images[0])
     side = (2 * HALF_PIXELS + 1, 2 * HALF_PIXELS + 1)
-    xx, yy, xy = (
-        np.asarray(cv2.blur(product, side)) for product in (right**2, down**2, right * down)
-    )
+    xx, yy, xy = (cv2.blur(product, side) for product in (right**2, down**2, right * down))
+    # The eigenvalues of the structure tensor are middle + spread and middle - spread.
     middle, spread = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
-    telling = np.maximum(middle - spread, 0.0) + _LINE_SHARE * (middle + spread)
-    strong = (middle + spread > _MIN_GRADIENT_GRAY**2) & (np.asarray(usable) == 255)
-    telling = np.where(strong, telling, 0.0)
-    rows, columns = telling.shape[0] // cell, telling.shape[1] // cell
-    cells = telling[: rows * cell, : columns * cell].reshape(rows, cell, columns, cell)
+    information = np.maximum(middle - spread, 0.0) + _LINE_SHARE * (middle + spread)
+    strong = (middle + spread > _MIN_GRADIENT_GRAY**2) & (usable == 255)
+    information = np.where(strong, information, 0.0)
+    rows, columns = information.shape[0] // cell, information.shape[1] // cell
+    cells = information[: rows * cell, : columns * cell].reshape(rows, cell, columns, cell)
     flat = cells.transpose(0, 2, 1, 3).reshape(rows * columns, cell * cell)
     best = np.argmax(flat, axis=1)
     found = flat[np.arange(len(flat)), best] > 0.0
@@ -94,16 +94,16 @@ def track(
     second_from_first: Warp,
     coarsest: int = MAX_LEVEL,
 ) -> tuple[Int64Array, Float64Array, Float64Array]:
-    """Find points of one picture in another.
+    """Find points of one image in another.
 
     Parameters
     ----------
     points : (N, 2) float64
         Pixels of the first.
     second_from_first : callable
-        Maps (M, 2) pixels as foretold; nan where the other cannot see them.
+        Maps (M, 2) pixels by the predicted motion; nan where the other cannot see them.
     coarsest : int
-        Level to start at: 0 when the foretold place is within a few pixels, 3 within some 30.
+        Level to start at: 0 when the prediction is within a few pixels, 3 within some 30.
 
     Returns
     -------
@@ -117,17 +117,17 @@ def track(
     shift = np.zeros_like(points)
     alive = np.arange(len(points))
     for level in range(coarsest, 0, -1):
-        windows = cut(first, second, points[alive], second_from_first, level)
-        good = windows.good
-        shift[alive[good]] = align(windows, shift[alive])[good]
-        alive = alive[np.isfinite(windows.coefficients).all(axis=(1, 2))]
-    windows = cut(first, second, points[alive], second_from_first, 0)
+        patches = cut_patches(first, second, points[alive], second_from_first, level)
+        good = patches.good
+        shift[alive[good]] = align_patches(patches, shift[alive])[good]
+        alive = alive[np.isfinite(patches.coefficients).all(axis=(1, 2))]
+    patches = cut_patches(first, second, points[alive], second_from_first, 0)
     start = shift[alive]
-    found = align(windows, start)
-    judged = judge(windows, found)
-    good = windows.good & judged.good
-    pixels = evaluate(windows.coefficients, found)
-    jacobian = slope_of_warp(windows.coefficients, found)
+    found = align_patches(patches, start)
+    quality = patch_quality(patches, found)
+    good = patches.good & quality.good
+    pixels = warp_centres(patches.coefficients, found)
+    jacobian = warp_jacobian(patches.coefficients, found)
     good &= np.abs(np.linalg.det(jacobian)) > 1e-6
-    whitening = judged.whitening[good] @ np.linalg.inv(jacobian[good])
+    whitening = quality.whitening[good] @ np.linalg.inv(jacobian[good])
     return alive[good], pixels[good], whitening

@@ -1,8 +1,8 @@
-"""Where a pixel of one frame is seen by another, and how that changes with camera and poses.
+"""Transfer of a pixel from one frame to another over the plane, with analytic derivatives.
 
-The floor is a plane, so a pixel is carried from frame to frame without knowing its place: lens,
-ray, floor, motion, and the same back (Hartley and Zisserman, Multiple View Geometry, 8.1). OpenCV
-differentiates the lens models; the rest is written out here.
+As the floor is a plane, no landmark positions are unknown: lens, ray, floor, motion, and the same
+back (Hartley and Zisserman, Multiple View Geometry, 8.1). OpenCV differentiates the lens models;
+the rest is written out here.
 """
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float64Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration, Rocking
+from slamcli.core.camera.lens import undistort_points
+from slamcli.core.camera.mounting import compose_robot_from_image, robot_from_camera_rotation
 from slamcli.core.geometry import Pose2, apply_homography, invert
 
-# What the camera's own parameters are, and each frame's, in the order of the Jacobians' columns.
+# Numbers of parameters, in the order of the Jacobians' columns: of the camera; of a frame, of which
+# the first are its pose.
 CAMERA_PARAMETERS = 7
 FRAME_PARAMETERS = 6
 POSE_PARAMETERS = 3
@@ -26,13 +28,13 @@ POSE_PARAMETERS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FramePose:
-    """Where the camera of one frame stood.
+    """Pose of one frame, and its rocking.
 
     Attributes
     ----------
     map_from_robot : Pose2
     rocking : Rocking
-        By how much it stood differently from the calibration.
+        Its pitch, roll and height beside the calibration.
     """
 
     map_from_robot: Pose2
@@ -41,12 +43,12 @@ class FramePose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transfer:
-    """Pixels of frame a as frame b should see them.
+    """Pixels of frame a transferred to frame b.
 
     Attributes
     ----------
     pixels : (N, 2) float64
-        In b's own picture; nan behind a camera.
+        In b's own image; nan behind a camera.
     by_camera : (N, 2, 7) float64
         By log focal length, the first two radial coefficients, pitch and roll (rad), and the
         principal point's column and row (in focal lengths).
@@ -62,7 +64,7 @@ class Transfer:
 
 
 def changed(calibration: Calibration, change: Float64Array) -> Calibration:
-    """Return a calibration whose `CAMERA_PARAMETERS` differ by so much; its height stays."""
+    """Return a calibration with the seven parameters of `Transfer` changed; its height stays."""
     zoom = math.exp(float(change[0]))
     matrix = calibration.camera_matrix @ np.diag([zoom, zoom, 1.0])
     matrix[:, 2] = calibration.camera_matrix[:, 2]
@@ -77,9 +79,7 @@ def changed(calibration: Calibration, change: Float64Array) -> Calibration:
         distortion=distortion,
         pitch_radians=pitch,
         roll_radians=roll,
-        robot_from_image=projection.compose_robot_from_image(
-            matrix, calibration.height_metres, pitch, roll
-        ),
+        robot_from_image=compose_robot_from_image(matrix, calibration.height_metres, pitch, roll),
     )
 
 
@@ -95,10 +95,10 @@ def transfer_with_jacobians(
 ) -> Transfer:
     """Return where b sees the floor that a sees at (N, 2) pixels, and its derivatives."""
     count = len(pixels_a)
-    undistorted = projection.undistort_points(calibration, pixels_a)
+    undistorted = undistort_points(calibration, pixels_a)
     rays = apply_homography(invert(calibration.camera_matrix), undistorted)
     seen_a = _lens(calibration, rays)
-    # The lens read backwards: what changes the pixel changes the ray the other way.
+    # The lens inverted: what moves the pixel moves the ray the other way.
     ray_by_pixel = np.linalg.inv(seen_a.by_ray)
     ray_by_lens = -ray_by_pixel @ seen_a.by_lens
     floor = _to_floor(calibration, a.rocking, rays)
@@ -127,7 +127,7 @@ def transfer_with_jacobians(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class _LensPixels:
     """Rays through the lens: pixels (N, 2), by ray (N, 2, 2), by the lens (N, 2, 5).
 
     That is by log focal length, two radial coefficients, and the principal point.
@@ -139,7 +139,7 @@ class _Seen:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Floor:
+class _FloorPoints:
     """Rays on the floor, robot frame (N, 2), by ray (N, 2, 2), by pitch, roll, log height."""
 
     points: Float64Array
@@ -149,7 +149,7 @@ class _Floor:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Back:
+class _FloorRays:
     """Floor points as rays (N, 2), by point (N, 2, 2), by pitch, roll, log height (N, 2, 3)."""
 
     rays: Float64Array
@@ -158,7 +158,7 @@ class _Back:
     by_mounting: Float64Array
 
 
-def _lens(calibration: Calibration, rays: Float64Array) -> _Seen:
+def _lens(calibration: Calibration, rays: Float64Array) -> _LensPixels:
     matrix, distortion = calibration.camera_matrix, calibration.distortion
     still = np.zeros(3)
     points = np.column_stack([np.where(np.isfinite(rays), rays, 0.0), np.ones(len(rays))])
@@ -177,7 +177,7 @@ def _lens(calibration: Calibration, rays: Float64Array) -> _Seen:
     by_centre = columns[:, :, centre] * (matrix[0, 0], matrix[1, 1])
     by_lens = np.concatenate([by_zoom[:, :, None], columns[:, :, radial], by_centre], axis=2)
     pixels = np.asarray(projected, np.float64).reshape(-1, 2)
-    return _Seen(pixels, columns[:, :, shift], by_lens)
+    return _LensPixels(pixels, columns[:, :, shift], by_lens)
 
 
 def _mounting(calibration: Calibration, rocking: Rocking) -> tuple[float, float, float]:
@@ -188,9 +188,9 @@ def _mounting(calibration: Calibration, rocking: Rocking) -> tuple[float, float,
     )
 
 
-def _to_floor(calibration: Calibration, rocking: Rocking, rays: Float64Array) -> _Floor:
+def _to_floor(calibration: Calibration, rocking: Rocking, rays: Float64Array) -> _FloorPoints:
     pitch, roll, height = _mounting(calibration, rocking)
-    rotation = projection.robot_from_camera_rotation(pitch, roll)
+    rotation = robot_from_camera_rotation(pitch, roll)
     ahead = np.column_stack([rays, np.ones(len(rays))])
     x, y, z = rotation @ ahead.T
     seen = z < 0.0
@@ -201,7 +201,7 @@ def _to_floor(calibration: Calibration, rocking: Rocking, rays: Float64Array) ->
     by_direction[:, :, 2] = -points / down[:, None]
     turned = _by_rotation(pitch, np.column_stack([x, y, z]))
     by_mounting = np.concatenate([by_direction @ turned, points[:, :, None]], axis=2)
-    return _Floor(points, seen, by_direction @ rotation[:, :2], by_mounting)
+    return _FloorPoints(points, seen, by_direction @ rotation[:, :2], by_mounting)
 
 
 def _by_rotation(pitch: float, directions: Float64Array) -> Float64Array:
@@ -220,9 +220,9 @@ def _by_rotation(pitch: float, directions: Float64Array) -> Float64Array:
     return turned
 
 
-def _to_ray(calibration: Calibration, rocking: Rocking, points: Float64Array) -> _Back:
+def _to_ray(calibration: Calibration, rocking: Rocking, points: Float64Array) -> _FloorRays:
     pitch, roll, height = _mounting(calibration, rocking)
-    rotation = projection.robot_from_camera_rotation(pitch, roll)
+    rotation = robot_from_camera_rotation(pitch, roll)
     directions = np.column_stack([points, np.full(len(points), -height)])
     optical = directions @ rotation
     seen = optical[:, 2] > 0.0
@@ -232,16 +232,16 @@ def _to_ray(calibration: Calibration, rocking: Rocking, points: Float64Array) ->
     by_optical[:, 0, 0] = by_optical[:, 1, 1] = 1.0 / depth
     by_optical[:, :, 2] = -rays / depth[:, None]
     by_direction = by_optical @ rotation.T
-    # The camera turns, so the direction turns the other way.
+    # As the camera turns, directions in its frame turn the other way.
     turned = -_by_rotation(pitch, directions)
     sunk = np.zeros((len(points), 3, 1))
     sunk[:, 2, 0] = -height
     by_mounting = by_direction @ np.concatenate([turned, sunk], axis=2)
-    return _Back(rays, seen, by_direction[:, :, :2], by_mounting)
+    return _FloorRays(rays, seen, by_direction[:, :, :2], by_mounting)
 
 
 def _by_motion(points: Float64Array) -> Float64Array:
-    """Return (N, 2, 3): how points move with x, y and theta of the frame that holds them."""
+    """Return (N, 2, 3): how points move with x, y and theta of their own frame of reference."""
     moved = np.zeros((len(points), 2, 3))
     moved[:, 0, 0] = moved[:, 1, 1] = 1.0
     moved[:, 0, 2], moved[:, 1, 2] = -points[:, 1], points[:, 0]

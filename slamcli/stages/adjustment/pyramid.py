@@ -1,4 +1,4 @@
-"""A gray picture from full size down, as patches are tracked in it."""
+"""The image pyramid in which patches are tracked."""
 
 from __future__ import annotations
 
@@ -10,20 +10,19 @@ import numpy as np
 from slamcli.core.arrays import Float32Array, UInt8Array
 
 MAX_LEVEL = 3
-
-
+# Smooths the noise that a gradient would amplify [guarded by benchmarks/self_calibration.py].
 _SMOOTHING_PIXELS = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pyramid:
-    """A gray picture at full size, half, a quarter ..., as what is looked for and looked in.
+    """A gray image at full size, half, a quarter and so on.
 
     Attributes
     ----------
     images : tuple of (h, w) float32
     masks : tuple of (h, w) uint8
-        255 where the picture shows usable floor.
+        255 where the image shows usable floor.
     """
 
     images: tuple[Float32Array, ...]
@@ -31,7 +30,7 @@ class Pyramid:
 
 
 def make_pyramid(image: UInt8Array, mask: UInt8Array) -> Pyramid:
-    """Return the levels of a gray picture (H, W) whose usable floor has 255 in the mask."""
+    """Return the levels of a gray image (H, W) whose usable floor has 255 in the mask."""
     level = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTHING_PIXELS)
     images, masks = [np.asarray(level, np.float32)], [mask]
     for _ in range(MAX_LEVEL):

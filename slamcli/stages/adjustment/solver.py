@@ -1,11 +1,11 @@
-"""The camera and all poses that explain every match at once: bundle adjustment over a plane.
+"""Bundle adjustment over a plane: the camera and all poses that explain every match at once.
 
 Levenberg-Marquardt on the reprojection error with analytic Jacobians and a redescending kernel
 (Triggs et al., Bundle Adjustment: A Modern Synthesis, 2000). The unknowns are the camera's, shared
-by all frames, and each frame's pose with what its pitch, roll and height differ by; those are held
-near zero by how much they vary, which the data tell too (expectation maximisation for variance
-components: Dempster, Laird and Rubin, 1977). The plane's scale is not observable: it is held by the
-calibration's height.
+by all frames, and each frame's pose with its rocking, by which its pitch, roll and height differ
+from the camera's. The rocking has a zero-mean prior whose sigmas are estimated too (expectation
+maximisation for variance components: Dempster, Laird and Rubin, 1977). The plane's scale is not
+observable: it is fixed by the calibration's height.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from slamcli.stages.adjustment.equations import (
     Block,
     BundleState,
     Layout,
+    estimate_unevenness,
     free_unknowns,
-    held_values,
     linearise,
     normal_equations,
     prior_information,
+    prior_residuals,
     residual_scale,
     total_cost,
-    unevenness_seen,
 )
 from slamcli.stages.adjustment.patch_tracking import Matches
 from slamcli.stages.adjustment.projection import (
@@ -43,44 +43,46 @@ from slamcli.stages.adjustment.projection import (
 )
 from slamcli.stages.adjustment.uncertainty import (
     camera_covariance,
+    estimate_rocking,
     pose_covariances,
-    rocking_seen,
 )
 
 _MAX_ITERATIONS = 40
 _MAX_RETRIES = 6
 _CONVERGED = 1e-3
-# While it is still being learnt how much frames vary, steps towards the end would be wasted.
+# While the sigmas of the rocking are still being estimated, full convergence would be wasted
+# [guarded by benchmarks/self_calibration.py].
 _LEARNING_ITERATIONS = 3
-FIRST_ROCKING = np.array([0.004, 0.004, 0.01])
+# Of pitch, roll (rad) and log height, to start from.
+INITIAL_ROCKING_SIGMAS = np.array([0.004, 0.004, 0.01])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjustment:
-    """What explains the matches best.
+    """Result of a bundle adjustment.
 
     Attributes
     ----------
     calibration : Calibration
-    views : dict of int to FramePose
+    poses : dict of int to FramePose
         By frame index.
     camera_change : (7,) float64
         Of log focal length, the first two radial coefficients, pitch, roll and principal point (in
         focal lengths), in all.
     camera_covariance : (7, 7) float64
-        Zero where a parameter was held.
+        Zero where a parameter was fixed.
     pose_covariances : dict of int to (3, 3) float64
         Of x, y (m), theta (rad), in the robot's own axes; zero for a frame that defines its map.
     rocking_sigmas : (3,) float64
         By how much pitch, roll (rad) and log height vary from frame to frame.
     scale : float
-        How many times larger residuals are than the matches' sigmas said.
+        How many times larger residuals are than the matches' sigmas predict.
     unevenness_metres : float
-        By how much the floor lies higher here and lower there, one sigma.
+        Standard deviation of the floor's height.
     """
 
     calibration: Calibration
-    views: dict[int, FramePose]
+    poses: dict[int, FramePose]
     camera_change: Float64Array
     camera_covariance: Float64Array
     pose_covariances: dict[int, Float64Array]
@@ -91,7 +93,7 @@ class Adjustment:
 
 def adjust(
     calibration: Calibration,
-    views: Mapping[int, FramePose],
+    poses: Mapping[int, FramePose],
     matches: Sequence[Matches],
     anchors: Sequence[int],
     *,
@@ -105,24 +107,24 @@ def adjust(
     ----------
     calibration : Calibration
         The start; its height stays.
-    views : mapping of frame index to FramePose
+    poses : mapping of frame index to FramePose
         The start of every frame in `matches`.
     matches : sequence of Matches
     anchors : sequence of int
-        Frames whose poses stay: one for each connected map.
+        Frames whose poses are fixed: one for each connected map.
     camera_free : (7,) bool
         Which of log focal length, two radial coefficients, pitch, roll and the principal point's
         column and row are estimated.
     rocking_sigmas : (3,) float64
         By how much pitch, roll (rad) and log height vary from frame to frame; zeros: not at all.
     learning_rounds : int
-        So many times those, and how uneven the floor is, are estimated anew from what was found;
-        six suffice from any start.
+        How many times those sigmas, and the floor's unevenness, are re-estimated; six suffice from
+        any start.
     """
     frames = tuple(sorted({m.a for m in matches} | {m.b for m in matches}))
     layout = Layout(frames, free_unknowns(frames, anchors, camera_free, rocking_sigmas))
     state = BundleState(
-        calibration, {index: views[index] for index in frames}, np.zeros(CAMERA_PARAMETERS)
+        calibration, {index: poses[index] for index in frames}, np.zeros(CAMERA_PARAMETERS)
     )
     rounds = 1 + (learning_rounds if np.any(rocking_sigmas) else 0)
     sigmas = rocking_sigmas
@@ -132,11 +134,11 @@ def adjust(
         iterations = _LEARNING_ITERATIONS if learning else _MAX_ITERATIONS
         state, scale, factor, blocks = _descend(state, matches, layout, prior, iterations)
         if number + 1 < rounds:
-            sigmas = rocking_seen(state, layout, factor)
-            state = replace(state, unevenness_metres=unevenness_seen(blocks, scale))
+            sigmas = estimate_rocking(state, layout, factor)
+            state = replace(state, unevenness_metres=estimate_unevenness(blocks, scale))
     return Adjustment(
         state.calibration,
-        state.views,
+        state.poses,
         state.change,
         camera_covariance(layout, state, factor, blocks, prior, scale),
         pose_covariances(layout, factor),
@@ -147,13 +149,13 @@ def adjust(
 
 
 def residual_lengths(
-    calibration: Calibration, views: Mapping[int, FramePose], matches: Sequence[Matches]
+    calibration: Calibration, poses: Mapping[int, FramePose], matches: Sequence[Matches]
 ) -> Float64Array:
     """Return the length of every match's residual, in its own sigmas, all pairs in their order."""
     lengths = []
     for pair in matches:
         there = transfer_with_jacobians(
-            calibration, views[pair.a], views[pair.b], pair.pixels_a
+            calibration, poses[pair.a], poses[pair.b], pair.pixels_a
         ).pixels
         residual = np.einsum("nij,nj->ni", pair.whitening, there - pair.pixels_b)
         lengths.append(np.linalg.norm(residual, axis=1))
@@ -172,7 +174,7 @@ def _descend(
     blocks = linearise(state, matches, layout)
     scale = residual_scale(blocks)
     for _ in range(iterations):
-        cost = total_cost(blocks, scale, prior, held_values(layout, state))
+        cost = total_cost(blocks, scale, prior, prior_residuals(layout, state))
         normal, gradient = normal_equations(blocks, scale, prior, layout, state)
         diagonal = normal.diagonal()
         for _ in range(_MAX_RETRIES):
@@ -180,7 +182,7 @@ def _descend(
             step = np.where(layout.free, -damped.solve(gradient), 0.0)
             tried = _moved(state, layout, step)
             new_blocks = linearise(tried, matches, layout)
-            if total_cost(new_blocks, scale, prior, held_values(layout, tried)) <= cost:
+            if total_cost(new_blocks, scale, prior, prior_residuals(layout, tried)) <= cost:
                 damping = max(damping / 10.0, 1e-9)
                 break
             damping *= 10.0
@@ -196,19 +198,20 @@ def _descend(
 
 
 def _moved(state: BundleState, layout: Layout, step: Float64Array) -> BundleState:
+    """Return a state with a step (K,) added to its unknowns."""
     camera = step[:CAMERA_PARAMETERS]
     calibration = changed(state.calibration, camera)
-    views = {}
-    for place, index in enumerate(layout.frames):
-        own = step[layout.of_frame(place)]
-        view = state.views[index]
-        height = calibration.height_metres + view.rocking.height_metres
-        views[index] = FramePose(
-            view.map_from_robot @ Pose2(float(own[0]), float(own[1]), float(own[2])),
+    poses = {}
+    for position, index in enumerate(layout.frames):
+        own = step[layout.of_frame(position)]
+        pose = state.poses[index]
+        height = calibration.height_metres + pose.rocking.height_metres
+        poses[index] = FramePose(
+            pose.map_from_robot @ Pose2(float(own[0]), float(own[1]), float(own[2])),
             Rocking(
-                view.rocking.pitch_radians + float(own[3]),
-                view.rocking.roll_radians + float(own[4]),
+                pose.rocking.pitch_radians + float(own[3]),
+                pose.rocking.roll_radians + float(own[4]),
                 height * math.exp(float(own[5])) - calibration.height_metres,
             ),
         )
-    return BundleState(calibration, views, state.change + camera, state.unevenness_metres)
+    return BundleState(calibration, poses, state.change + camera, state.unevenness_metres)

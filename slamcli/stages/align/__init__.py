@@ -1,4 +1,4 @@
-"""From two sets of features to the transform between them, or to why there is none."""
+"""Feature alignment: two sets of features to the transform between them, or why there is none."""
 
 from __future__ import annotations
 
@@ -6,19 +6,25 @@ import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, Int32Array
 from slamcli.core.config import MatchOptions
-from slamcli.core.geometry import Pose2, apply_homography
+from slamcli.core.geometry import Pose2
 from slamcli.core.records import FeatureAlignment, Features
+from slamcli.stages.align.acceptance import (
+    MatchedPoints,
+    TransformFit,
+    check_count,
+    check_plausible,
+    check_residuals,
+    check_spread,
+    check_unique,
+)
 from slamcli.stages.align.matching import match_descriptors
 from slamcli.stages.align.models import MODELS
 from slamcli.stages.align.ransac import Consensus, ransac, residuals_of
 from slamcli.stages.align.rigid import RigidFit, fit_rigid
 
-# A rival as large as it must be to matter is drawn within this many samples.
-_RIVAL_ITERATIONS = 1000
-# Nearer than this many inlier thresholds it is the same motion, of matches that just missed it.
-_RIVAL_THRESHOLDS = 3.0
 # Points crowd on the same few corners, in one octave and the next, and err together: on simulated
-# floors of five kinds, noisy or not, a motion's variance is four to six times what it would be.
+# floors of five kinds, noisy or not, a motion's variance is four to six times what it would be
+# [guarded by benchmarks/accuracy.py].
 _CORRELATED_MATCHES = 5.0
 
 __all__ = [
@@ -38,7 +44,7 @@ def align(
     options: MatchOptions,
     guess: Pose2 | None = None,
 ) -> FeatureAlignment:
-    """Match two sets of features, fit a transform, and judge whether to believe it.
+    """Match two sets of features, fit a transform, and accept or reject it.
 
     Parameters
     ----------
@@ -51,115 +57,56 @@ def align(
     Returns
     -------
     FeatureAlignment
-        With a one-line reason when it is not to be believed.
+        With a one-line reason when it is rejected.
     """
     matches, _ = match_descriptors(
         features_a, features_b, options, None if guess is None else guess.matrix
     )
-    points_a = features_a.points[matches[:, 0]].astype(np.float64)
-    points_b = features_b.points[matches[:, 1]].astype(np.float64)
-    sigmas_a = features_a.sigmas[matches[:, 0]].astype(np.float64)
-    sigmas_b = features_b.sigmas[matches[:, 1]].astype(np.float64)
-    thresholds = _thresholds(sigmas_a, sigmas_b, options)
-    model = MODELS[options.model]
-    consensus = ransac(
-        points_a,
-        points_b,
-        model,
-        thresholds,
-        confidence=options.confidence,
-        max_iterations=options.max_iterations,
-        seed=options.seed,
-    )
-    if consensus is None:
-        return _nothing(features_a, features_b, matches, options)
-    a_from_b, near = consensus.a_from_b, consensus.inliers
-    inliers = near & _turned_alike(features_a, features_b, matches, a_from_b, options)
-    if np.count_nonzero(inliers) < model.sample_size:
-        return _nothing(features_a, features_b, matches, options)
-    residuals, pose, covariance = consensus.residuals, None, None
-    if options.model == "rigid":
-        fit = fit_rigid(
-            points_a[inliers],
-            points_b[inliers],
-            sigmas_a[inliers],
-            sigmas_b[inliers],
-            Pose2.from_matrix(a_from_b),
-        )
-        if fit is None:
-            return _nothing(features_a, features_b, matches, options)
-        pose, a_from_b = fit.a_from_b, fit.a_from_b.matrix
-        covariance = _CORRELATED_MATCHES * fit.covariance
-        residuals = residuals_of(a_from_b[None], points_a, points_b, model)[0]
-        near = residuals < thresholds
-        inliers = near & _turned_alike(features_a, features_b, matches, a_from_b, options)
+    pairs = _matched_points(features_a, features_b, matches, options)
+    fit = _fit_by_consensus(pairs, options)
+    if fit is not None and options.model == "rigid":
+        fit = _fit_weighted(fit, pairs, options)
+    if fit is None:
+        return _no_fit(features_a, features_b, matches, options)
+    inliers, count = fit.inliers, int(fit.inliers.sum())
     spread = max(
-        _spread(points_a[inliers], features_a.points), _spread(points_b[inliers], features_b.points)
+        _relative_spread(pairs.a[inliers], features_a.points),
+        _relative_spread(pairs.b[inliers], features_b.points),
     )
     reason = (
-        _too_few(inliers, len(features_a), len(features_b), options)
-        or _too_loose(residuals, thresholds, inliers, spread, options)
-        or _implausible(a_from_b, points_b[inliers], options)
-        or _ambiguous(a_from_b, inliers, ~near, points_a, points_b, thresholds, options)
+        check_count(inliers, features_a, features_b, options)
+        or check_residuals(fit, pairs.thresholds, options)
+        or check_spread(count, spread, options)
+        or check_plausible(fit.a_from_b, pairs.b[inliers], options)
+        or check_unique(fit, pairs, options)
     )
     return FeatureAlignment(
-        options.model, a_from_b, pose, covariance, matches, inliers, residuals, spread, reason
+        options.model,
+        fit.a_from_b,
+        fit.pose,
+        fit.covariance,
+        matches,
+        inliers,
+        fit.residuals,
+        spread,
+        reason,
     )
 
 
-def _turned_alike(
-    a: Features,
-    b: Features,
-    matches: Int32Array,
-    a_from_b: Float64Array,
-    options: MatchOptions,
-) -> BoolArray:
-    """Return (M,): whose surroundings are turned as the transform turns; all, where none is known.
-
-    Affinities and homographies turn each direction differently.
-    """
-    if options.model not in {"rigid", "similarity"}:
-        return np.ones(len(matches), np.bool_)
-    turn = np.arctan2(a_from_b[1, 0], a_from_b[0, 0])
-    odd = a.angles[matches[:, 0]] - b.angles[matches[:, 1]] - turn
-    return np.asarray(~(np.cos(odd) < np.cos(options.max_angle_radians)))
-
-
-def _ambiguous(
-    a_from_b: Float64Array,
-    inliers: BoolArray,
-    rest: BoolArray,
-    points_a: Float64Array,
-    points_b: Float64Array,
-    thresholds: Float64Array,
-    options: MatchOptions,
-) -> str:
-    """Return why the matches do not single out one transform, or nothing.
-
-    Floors that repeat, and lines that look alike, let another motion explain nearly as many of the
-    matches that the best one leaves over.
-    """
-    best = int(inliers.sum())
-    if np.count_nonzero(rest) < options.max_rival_share * best:
-        return ""
-    rival = ransac(
-        points_a[rest],
-        points_b[rest],
-        MODELS[options.model],
-        thresholds[rest],
-        confidence=options.confidence,
-        max_iterations=min(options.max_iterations, _RIVAL_ITERATIONS),
-        seed=options.seed,
+def _matched_points(
+    a: Features, b: Features, matches: Int32Array, options: MatchOptions
+) -> MatchedPoints:
+    index_a, index_b = matches[:, 0], matches[:, 1]
+    sigmas_a = a.sigmas[index_a].astype(np.float64)
+    sigmas_b = b.sigmas[index_b].astype(np.float64)
+    return MatchedPoints(
+        a.points[index_a].astype(np.float64),
+        b.points[index_b].astype(np.float64),
+        sigmas_a,
+        sigmas_b,
+        a.angles[index_a] - b.angles[index_b],
+        _thresholds(sigmas_a, sigmas_b, options),
     )
-    if rival is None:
-        return ""
-    second = int(rival.inliers.sum())
-    if second < options.max_rival_share * best:
-        return ""
-    apart = apply_homography(rival.a_from_b, points_b) - apply_homography(a_from_b, points_b)
-    if np.median(np.linalg.norm(apart, axis=1)) < _RIVAL_THRESHOLDS * np.median(thresholds):
-        return ""
-    return f"ambiguous: {best} matches agree on one motion and {second} on another"
 
 
 def _thresholds(
@@ -172,90 +119,71 @@ def _thresholds(
     return np.asarray(options.threshold_sigmas * np.sqrt(variance))
 
 
-def _nothing(
-    a: Features, b: Features, matches: Int32Array, options: MatchOptions
-) -> FeatureAlignment:
-    none = np.zeros(len(matches), dtype=np.bool_)
-    return FeatureAlignment(
-        options.model,
-        None,
-        None,
-        None,
-        matches,
-        none,
-        np.full(len(matches), np.nan),
-        0.0,
-        _too_few(none, len(a), len(b), options) or "the matches do not determine a transform",
+def _fit_by_consensus(pairs: MatchedPoints, options: MatchOptions) -> TransformFit | None:
+    """Return the transform that most matches agree with (RANSAC), or None."""
+    model = MODELS[options.model]
+    consensus = ransac(
+        pairs.a,
+        pairs.b,
+        model,
+        pairs.thresholds,
+        confidence=options.confidence,
+        max_iterations=options.max_iterations,
+        seed=options.seed,
+    )
+    if consensus is None:
+        return None
+    inliers = consensus.inliers & _turned_alike(consensus.a_from_b, pairs, options)
+    if np.count_nonzero(inliers) < model.sample_size:
+        return None
+    return TransformFit(
+        consensus.a_from_b, None, None, consensus.residuals, consensus.inliers, inliers
     )
 
 
-def _too_few(inliers: BoolArray, count_a: int, count_b: int, options: MatchOptions) -> str:
-    """Return why there is too little to go by, or nothing."""
-    needed = options.min_inliers
-    agree, count = int(inliers.sum()), len(inliers)
-    if min(count_a, count_b) < needed:
-        return f"{count_a} and {count_b} features; at least {needed} of each are needed"
-    if count < needed:
-        return f"{count} matches; at least {needed} are needed"
-    if agree < needed:
-        return f"{agree} inliers of {count} matches; at least {needed} are needed"
-    if agree < options.min_inlier_ratio * count:
-        return (
-            f"{agree} inliers of {count} matches ({agree / count:.0%}); "
-            f"at least {options.min_inlier_ratio:.0%} must agree"
-        )
-    return ""
+def _fit_weighted(
+    start: TransformFit, pairs: MatchedPoints, options: MatchOptions
+) -> TransformFit | None:
+    """Return the rigid motion by robust, weighted least squares over the inliers, or None."""
+    kept = start.inliers
+    fit = fit_rigid(
+        pairs.a[kept],
+        pairs.b[kept],
+        pairs.sigmas_a[kept],
+        pairs.sigmas_b[kept],
+        Pose2.from_matrix(start.a_from_b),
+    )
+    if fit is None:
+        return None
+    matrix = fit.a_from_b.matrix
+    residuals = residuals_of(matrix[None], pairs.a, pairs.b, MODELS["rigid"])[0]
+    near = residuals < pairs.thresholds
+    inliers = near & _turned_alike(matrix, pairs, options)
+    covariance = _CORRELATED_MATCHES * fit.covariance
+    return TransformFit(matrix, fit.a_from_b, covariance, residuals, near, inliers)
 
 
-def _too_loose(
-    residuals: Float64Array,
-    thresholds: Float64Array,
-    inliers: BoolArray,
-    spread: float,
-    options: MatchOptions,
-) -> str:
-    """Return why the inliers do not carry a transform, or nothing."""
-    relative = float(np.sqrt(np.mean((residuals[inliers] / thresholds[inliers]) ** 2)))
-    if relative > options.max_residual_ratio:
-        return (
-            f"the {int(inliers.sum())} inliers agree no better than by chance: "
-            f"rms residual {relative:.2f} of the threshold, at most "
-            f"{options.max_residual_ratio:.2f} is believed"
-        )
-    if spread < options.min_spread:
-        return (
-            f"the {int(inliers.sum())} inliers crowd on {spread:.1%} of the view's extent; "
-            f"at least {options.min_spread:.0%} is needed"
-        )
-    return ""
+def _turned_alike(a_from_b: Float64Array, pairs: MatchedPoints, options: MatchOptions) -> BoolArray:
+    """Return (M,): whose surroundings are turned as the transform turns; all, where none is known.
 
-
-def _implausible(a_from_b: Float64Array, points_b: Float64Array, options: MatchOptions) -> str:
-    """Return why a camera over a floor cannot have made this transform, or nothing.
-
-    The scales in the two directions are the singular values of the Jacobian at the inliers.
+    Affinities and homographies turn each direction differently.
     """
-    w = points_b @ a_from_b[2, :2] + a_from_b[2, 2]
-    mapped = apply_homography(a_from_b, points_b)
-    jacobian = (a_from_b[:2, :2] - mapped[:, :, None] * a_from_b[2, :2]) / w[:, None, None]
-    scales = np.linalg.svd(jacobian, compute_uv=False)
-    largest, smallest = float(scales.max()), float(scales.min())
-    if largest > options.max_scale or smallest < 1.0 / options.max_scale:
-        odd = largest if largest > options.max_scale else smallest
-        return (
-            f"a scale of {odd:.3g} among the inliers; believed are "
-            f"{1.0 / options.max_scale:.3g} to {options.max_scale:.3g}"
-        )
-    stretch = float((scales[:, 0] / scales[:, 1]).max())
-    if stretch > options.max_stretch:
-        return (
-            f"a stretch of {stretch:.3g} among the inliers; "
-            f"at most {options.max_stretch:.3g} is believed"
-        )
-    return ""
+    if options.model not in {"rigid", "similarity"}:
+        return np.ones(len(pairs.turns), np.bool_)
+    difference = pairs.turns - np.arctan2(a_from_b[1, 0], a_from_b[0, 0])
+    return np.asarray(~(np.cos(difference) < np.cos(options.max_angle_radians)))
 
 
-def _spread(inliers: Float64Array, points: Float32Array) -> float:
+def _no_fit(
+    a: Features, b: Features, matches: Int32Array, options: MatchOptions
+) -> FeatureAlignment:
+    none = np.zeros(len(matches), dtype=np.bool_)
+    reason = check_count(none, a, b, options) or "the matches do not determine a transform"
+    residuals = np.full(len(matches), np.nan)
+    return FeatureAlignment(options.model, None, None, None, matches, none, residuals, 0.0, reason)
+
+
+def _relative_spread(inliers: Float64Array, points: Float32Array) -> float:
     """Return the narrower extent of (N, 2) inliers over that of all points of the view."""
     if len(inliers) < 2:
         return 0.0

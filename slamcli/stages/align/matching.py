@@ -1,4 +1,4 @@
-"""Which point of one view is which point of the other, by what they look like."""
+"""Descriptor matching: which point of one view is which point of the other."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from slamcli.core.geometry import apply_homography
 from slamcli.core.networks import MatchNetwork
 from slamcli.core.records import DescriptorNorm, Features
 
-# Without a radius of the user's, matches this many typical sigmas about a guess are tried.
+# Without a radius of the user's, matches within this many typical sigmas of a guess are tried
+# [guarded by tests/stages/test_align.py].
 _SEARCH_SIGMAS = 100.0
 _NORMS: Final[dict[DescriptorNorm, int]] = {
     "hamming": cv2.NORM_HAMMING,
@@ -55,7 +56,7 @@ def match_descriptors(
     best, found = distances[:, 0], neighbours[:, 0]
     keep = found >= 0
     if options.filter == "ratio":
-        # One candidate alone, within a guess's radius, has nothing to be mistaken for.
+        # A single candidate, within a guess's radius, has nothing to be mistaken for.
         second = np.where(neighbours[:, 1] >= 0, distances[:, 1], np.inf)
         keep &= best < options.ratio * second
     if options.max_distance is not None:
@@ -78,11 +79,11 @@ def _by_network(
     max_distance: float | None,
     mask: UInt8Array | None,
 ) -> tuple[Int32Array, Float32Array]:
-    """Let a network pair the points; then drop what the mask and the distance do not allow."""
+    """Pair the points by a network; drop what the mask and the distance do not allow."""
     everywhere = np.concatenate([a.points, b.points])
     low, high = everywhere.min(axis=0), everywhere.max(axis=0)
-    # A picture's columns run along x and its rows against y. Without the picture's own extent, all
-    # points' stands in for it; what matters is that both views have one.
+    # A picture's columns run along x and its rows against y. The extent of all points stands in for
+    # the picture's own, which is not known here; it only has to be the same for both views.
     halves = np.maximum((high - low) / 2, np.finfo(np.float32).eps) * (1.0, -1.0)
     middle = (low + high) / 2
     pairs, distances = network.match(
@@ -131,7 +132,7 @@ def _near_guess(
     squares = np.sum(places**2, axis=1), np.sum(goals**2, axis=1) - radius**2
     left = np.column_stack([places, squares[0], np.ones(len(a))]).astype(np.float32)
     right = np.column_stack([-2.0 * goals, np.ones(len(b)), squares[1]]).astype(np.float32)
-    return np.asarray(left @ right.T <= 0.0).view(np.uint8)
+    return (left @ right.T <= 0.0).view(np.uint8)
 
 
 def _unique(pairs: Int32Array, distances: Float32Array) -> tuple[Int32Array, Float32Array]:

@@ -1,4 +1,4 @@
-"""Plane transforms fitted to point pairs by least squares, many samples at a time.
+"""Transform models: plane transforms by closed-form least squares, many samples at a time.
 
 Rigid and similarity: Umeyama, PAMI 13, 1991, in the plane, where the rotation is the angle of a
 complex number and a reflection cannot come out. Homography: the normalised direct linear
@@ -16,7 +16,8 @@ import numpy as np
 from slamcli.core.arrays import BoolArray, Complex128Array, Float64Array
 from slamcli.core.config import TransformModel
 
-# Three points closer to one line than this share of their extent determine nothing.
+# Three points closer to one line than this share of their extent determine no transform
+# [guarded by tests/stages/test_align.py].
 _MIN_RELATIVE_AREA = 0.02
 
 
@@ -121,13 +122,13 @@ MODELS: Final[dict[TransformModel, Model]] = {
 def sound_samples(
     a: Float64Array, b: Float64Array, thresholds: Float64Array, model: Model
 ) -> BoolArray:
-    """Tell which minimal samples can determine a transform at all.
+    """Return which minimal samples can determine a transform at all.
 
     Parameters
     ----------
     a, b : (K, m, 2) point pairs
     thresholds : (K, m)
-        How far each pair may err; points closer together than that say nothing of a direction.
+        How far each pair may err; points closer together than that determine no direction.
     model : Model
 
     Returns

@@ -14,17 +14,19 @@ import numpy as np
 from slamcli.core.arrays import BoolArray, Float64Array
 from slamcli.stages.align.models import Model, sound_samples
 
+# Few at first: among mostly right matches no more are needed.
 _FIRST_HYPOTHESES = 64
 _MAX_HYPOTHESES_AT_ONCE = 512
 # Hypotheses times matches scored at once: what fits a processor's cache.
 _MAX_RESIDUALS_AT_ONCE = 200_000
 _MAX_REFITS = 10
+# Below it a transform maps the plane onto a line, or mirrors it.
 _MIN_DETERMINANT = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Consensus:
-    """What RANSAC agreed on.
+    """Result of RANSAC: the transform and the matches that agree with it.
 
     Attributes
     ----------
@@ -125,7 +127,6 @@ def _hypotheses(
     sound = sound_samples(sample_a, sample_b, limits, model)
     fitted = model.fit(sample_a[sound], sample_b[sound], np.ones_like(limits[sound]))
     fitted = fitted[np.isfinite(fitted).all(axis=(1, 2))]
-    # What maps the plane onto (nearly) a line, or mirrors it, cannot be the floor seen again.
     return np.asarray(fitted[np.linalg.det(fitted) > _MIN_DETERMINANT])
 
 
@@ -148,7 +149,7 @@ def _best(
 
 
 def _needed(inlier_ratio: float, sample_size: int, confidence: float) -> int:
-    """Return how many samples hold an all-inlier one with the given probability."""
+    """Return how many samples contain an all-inlier one with the given probability."""
     all_inliers = inlier_ratio**sample_size
     if all_inliers >= 1.0:
         return 1

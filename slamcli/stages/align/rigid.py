@@ -1,4 +1,4 @@
-"""The rigid motion of a link, weighted by how well each point is known, with its covariance."""
+"""Rigid registration of point pairs by robust weighted least squares, with its covariance."""
 
 from __future__ import annotations
 
@@ -8,24 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.camera import projection
+from slamcli.core.camera.resolution import line_of_sight_axes
 from slamcli.core.geometry import Pose2
+from slamcli.core.robust import GEMAN_MCCLURE_SIGMAS, RAYLEIGH_MEDIAN, geman_mcclure_weights
 
 _MAX_ITERATIONS = 20
+# A step this small, in standard deviations of the motion, ends the iteration.
 _CONVERGED_SIGMAS = 1e-3
-# Geman and McClure's scale in sigmas: keeps 97 % of the efficiency of least squares on normal
-# errors, and all but ignores what is five sigmas off.
-_KERNEL_SIGMAS = 3.0
-# Two coordinates of a normal error: the median of its length in sigmas.
-_RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
-# The sigmas given are believed as much as this many residuals are: few points, or the same
-# picture twice, cannot make a motion look perfectly known.
+# The sigmas given count as much as this many residuals do: few points, or the same picture twice,
+# cannot make a motion look perfectly known [guarded by tests/stages/test_align.py].
 _PRIOR_RESIDUALS = 8.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigidFit:
-    """A rigid motion with its covariance.
+    """Result of the rigid fit: a motion with its covariance.
 
     Attributes
     ----------
@@ -35,7 +32,7 @@ class RigidFit:
     weights : (M,) float64
         From 1, a point that fits, to 0, one that is ignored.
     scale : float
-        How many times larger the residuals are than the sigmas said.
+        How many times larger the residuals are than the sigmas predict.
     """
 
     a_from_b: Pose2
@@ -54,7 +51,7 @@ def fit_rigid(
     """Refine a rigid motion by robust, weighted least squares (Gauss-Newton).
 
     The residual of a match has the covariance ``S_a + R S_b R^T``, each S in the axes of its
-    point's line of sight; outliers are weighted down by Geman and McClure's kernel.
+    point's line of sight; outliers are down-weighted by Geman and McClure's kernel.
 
     Parameters
     ----------
@@ -76,7 +73,7 @@ def fit_rigid(
         residual, jacobian = _whitened(points_a, points_b, covariance_a, covariance_b, pose)
         length = np.hypot(*residual)
         scale = _scale(length)
-        weights = _kernel(length / scale)
+        weights = geman_mcclure_weights((length / scale / GEMAN_MCCLURE_SIGMAS) ** 2)
         weighted = jacobian * weights
         information = _products(weighted, jacobian)
         try:
@@ -96,9 +93,7 @@ def fit_rigid(
 
 def _covariances(points: Float64Array, sigmas: Float64Array) -> Float64Array:
     """Return (3, M) covariances xx, xy and yy in the robot frame, of sigmas in sight and across."""
-    (sight_x, sight_y), (across_x, across_y) = (
-        axis.T for axis in projection.line_of_sight_axes(points)
-    )
+    (sight_x, sight_y), (across_x, across_y) = (axis.T for axis in line_of_sight_axes(points))
     along, across = sigmas.T**2
     return np.stack(
         [
@@ -152,19 +147,13 @@ def _turning(cosine: float, sine: float) -> Float64Array:
 
 def _products(first: Float64Array, second: Float64Array) -> Float64Array:
     """Return (3, 3) sums over all residuals of products of two Jacobians' columns."""
-    return np.asarray(first.reshape(3, -1) @ second.reshape(3, -1).T)
-
-
-def _kernel(length: Float64Array) -> Float64Array:
-    """Return Geman and McClure's weights of residual lengths in sigmas."""
-    weights: Float64Array = (1.0 + (length / _KERNEL_SIGMAS) ** 2) ** -2
-    return weights
+    return first.reshape(3, -1) @ second.reshape(3, -1).T
 
 
 def _scale(length: Float64Array) -> float:
-    """Return how many times larger residuals are than their sigmas said, by their median."""
+    """Return how many times larger residuals are than their sigmas predict, by their median."""
     count = len(length)
-    measured = (float(np.median(length)) / _RAYLEIGH_MEDIAN) ** 2
+    measured = (float(np.median(length)) / RAYLEIGH_MEDIAN) ** 2
     # Three of the 2 M residuals' degrees of freedom went into the motion.
     measured *= 2.0 * count / max(2.0 * count - 3.0, 1.0)
     return math.sqrt((_PRIOR_RESIDUALS + count * measured) / (_PRIOR_RESIDUALS + count))
@@ -179,8 +168,8 @@ def _covariance_of_estimate(
     both expectations taken over its two coordinates.
     """
     information = _products(jacobian, jacobian) / scale**2
-    weights = _kernel(length)
-    squared = (length / _KERNEL_SIGMAS) ** 2
+    squared = (length / GEMAN_MCCLURE_SIGMAS) ** 2
+    weights = geman_mcclure_weights(squared)
     psi_squared = float(np.mean((weights * length) ** 2)) / 2.0
     slope = float(np.mean(weights - 2.0 * squared * (1.0 + squared) ** -3))
     count = len(length)
@@ -192,4 +181,4 @@ def _covariance_of_estimate(
         return None
     if not (np.isfinite(covariance).all() and np.all(np.diag(covariance) > 0.0)):
         return None
-    return np.asarray((covariance + covariance.T) / 2.0)
+    return (covariance + covariance.T) / 2.0

@@ -1,7 +1,8 @@
-"""From points of known place on the floor to the camera above it.
+"""Camera calibration from points of known position on the floor.
 
 The camera is a pinhole with square pixels; without intrinsics its principal point is the picture's
-middle and its focal length is solved for. `closed_form` starts, `mounting` refines.
+middle and its focal length is solved for. `closed_form` starts, `mounting` refines, `board` finds
+chessboards and markers.
 """
 
 from slamcli.stages.calibrate.closed_form import sort_corners, square_target, squareness

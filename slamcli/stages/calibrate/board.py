@@ -1,4 +1,4 @@
-"""Calibration targets that print their own identity: chessboards and ArUco markers."""
+"""Detection of calibration targets: chessboards and ArUco markers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array
 from slamcli.core.errors import CalibrationError
 
-# What refinement leaves on a board in focus, one sigma; the fit scales it where it leaves more.
+# Error of a refined crossing on a board in focus, one sigma; the fit scales it where it is larger.
 CHESSBOARD_SIGMA_PIXELS = 0.1
 _REFINED_TO_PIXELS = 1e-3
 
@@ -44,8 +44,8 @@ def find_chessboard(
     found, corners = cv2.findChessboardCornersSB(gray, (columns, rows), flags=flags)
     if not found:
         raise CalibrationError(
-            f"no chessboard with {columns}x{rows} inner corners found in the photo; count the "
-            "corners where four fields meet, and let the whole board be seen"
+            f"no chessboard with {columns}x{rows} inner corners found in the photo; count only the "
+            "corners where four fields meet, and keep the whole board in view"
         )
     pixels = _refine_crossings(
         np.asarray(gray, np.uint8), np.asarray(corners, np.float32).reshape(rows, columns, 2)
@@ -60,7 +60,7 @@ def find_chessboard(
 
 
 def _refine_crossings(gray: UInt8Array, grid: Float32Array) -> Float64Array:
-    """Move (rows, columns, 2) crossings to where all gradients around point past them.
+    """Refine (rows, columns, 2) crossings to where the gradients around them are consistent.
 
     The detector (Duda and Frese, BMVC 2018) leaves about half a pixel on the flat fields of a board
     seen from a slant; Foerstner's condition in a window of a third of a field does not.
@@ -99,14 +99,16 @@ def find_marker(image: UInt8Array, dictionary: str) -> tuple[Float64Array, int]:
         if re.match(r"DICT_\w+$", name)
     }
     if dictionary.lower() not in known:
-        raise CalibrationError(f"no ArUco dictionary {dictionary!r}; one of {', '.join(known)}")
+        raise CalibrationError(
+            f"--aruco {dictionary!r}: no such dictionary; choose one of {', '.join(known)}"
+        )
     gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(known[dictionary.lower()]))
     found, numbers, _ = detector.detectMarkers(gray)
     if not found:
         raise CalibrationError(
             f"no ArUco marker of dictionary {dictionary} found in the photo; leave a white margin "
-            "around it, or give its corners by --corners"
+            "around it, or give its corners with --corners"
         )
     markers = [np.asarray(marker, dtype=np.float64).reshape(4, 2) for marker in found]
     areas = [cv2.contourArea(marker.astype(np.float32)) for marker in markers]

@@ -1,4 +1,4 @@
-"""The closed form: four corners to a homography, and from it what one camera allows.
+"""Closed-form calibration: four corners to a homography, and from it focal length and tilt.
 
 A square's four corners fix a homography, and with it the image of the absolute conic gives two
 linear equations in 1 / f^2 (Hartley and Zisserman, Multiple View Geometry, 2nd ed., 8.8 and
@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Intrinsics
+from slamcli.core.camera.lens import image_centre
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import apply_homography, invert
 
 # Focal lengths, in picture widths, that a robot's camera may have: 118 to 14 degrees of view
-# from side to side.
+# from side to side [guarded by tests/stages/test_square.py and tests/run/test_calibrate.py].
 FOCAL_RANGE_WIDTHS = (0.3, 4.0)
 _SEARCH_STEPS = 33
 
@@ -41,11 +41,11 @@ def sort_corners(corners: ArrayLike, image_size: tuple[int, int]) -> Float64Arra
     points = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
     text = " ".join(f"{x:g},{y:g}" for x, y in points)
     if len(points) != 4 or not np.all(np.isfinite(points)):
-        raise CalibrationError(f"--corners '{text}': four points 'x,y x,y x,y x,y' are needed")
+        raise CalibrationError(f"--corners '{text}': give four points, 'x,y x,y x,y x,y'")
     width, height = image_size
     if np.any(points < -0.5) or np.any(points > (width - 0.5, height - 0.5)):
         raise CalibrationError(
-            f"--corners '{text}': all must lie inside the photo of {width}x{height} pixels"
+            f"--corners '{text}': all must lie inside the photo ({width}x{height} pixels)"
         )
     middle = points.mean(axis=0)
     angles = np.arctan2(points[:, 1] - middle[1], points[:, 0] - middle[0])
@@ -55,11 +55,13 @@ def sort_corners(corners: ArrayLike, image_size: tuple[int, int]) -> Float64Arra
     following = np.roll(along, -1, axis=0)
     lengths = np.linalg.norm(along, axis=1)
     if lengths.min() < 2.0:
-        raise CalibrationError(f"--corners '{text}': two corners are the same point")
+        raise CalibrationError(
+            f"--corners '{text}': two corners are the same point; give four different ones"
+        )
     turn = along[:, 0] * following[:, 1] - along[:, 1] * following[:, 0]
     if np.any(turn < 0.01 * lengths * np.roll(lengths, -1)):
         raise CalibrationError(
-            f"--corners '{text}': three lie on a line or one lies inside the others; "
+            f"--corners '{text}': three lie on one line, or one lies inside the others; "
             "give the four corners of the square"
         )
     return ordered
@@ -85,7 +87,7 @@ def fit_homography(target: Float64Array, pixels: Float64Array) -> Float64Array:
 
 
 def focal_from_homography(centred_from_target: Float64Array, width_pixels: float) -> float | None:
-    """Return the focal length, pixels, in closed form, or None where the picture does not tell it.
+    """Return the focal length, pixels, in closed form, or None where it is not observable.
 
     Parameters
     ----------
@@ -98,8 +100,8 @@ def focal_from_homography(centred_from_target: Float64Array, width_pixels: float
     -----
     With w = 1 / f^2 and columns h1, h2, perpendicular directions give
     (h1x h2x + h1y h2y) w + h1z h2z = 0 and equal lengths
-    (h1x^2 + h1y^2 - h2x^2 - h2y^2) w + h1z^2 - h2z^2 = 0. Both together, by least squares, hold
-    for a square at any angle; a square seen straight on leaves only the second, a camera that
+    (h1x^2 + h1y^2 - h2x^2 - h2y^2) w + h1z^2 - h2z^2 = 0. Both together, by least squares, serve
+    a square at any angle; a square seen straight on leaves only the second, a camera that
     looks straight down neither.
     """
     scaled = np.diag([1.0 / width_pixels, 1.0 / width_pixels, 1.0]) @ centred_from_target
@@ -124,8 +126,8 @@ def squareness(
     """Return how well four corners may be a square on the floor before a robot, in [0, 1].
 
     For each focal length that a camera may have (or the one that is known) the corners' two floor
-    directions should be perpendicular and equally long; the best is taken, then weighed by how
-    plausible its pitch and roll are. A wall's rectangle looks like a floor seen from straight
+    directions should be perpendicular and equally long; the best counts, times how plausible
+    its pitch and roll are. A wall's rectangle looks like a floor seen from straight
     above, a ceiling's like one seen from below.
 
     Parameters
@@ -138,7 +140,7 @@ def squareness(
     """
     homography = fit_homography(square_target(1.0), corners)
     if intrinsics is None:
-        column, row = projection.image_centre(image_size)
+        column, row = image_centre(image_size)
         low, high = FOCAL_RANGE_WIDTHS
         centring = np.array([[1.0, 0.0, -column], [0.0, 1.0, -row], [0.0, 0.0, 1.0]])
         closed_form = focal_from_homography(centring @ homography, float(image_size[0]))
@@ -147,7 +149,7 @@ def squareness(
         matrices = [np.array([[f, 0, column], [0, f, row], [0, 0, 1.0]]) for f in focals]
     else:
         matrices = [intrinsics.camera_matrix]
-    # Seen at a grazing angle a square is flat in the picture, and a pixel up or down is much.
+    # Seen at a grazing angle a square is flat in the picture, and a pixel up or down matters more.
     diagonals = corners[2] - corners[0], corners[3] - corners[1]
     area = 0.5 * abs(float(diagonals[0][0] * diagonals[1][1] - diagonals[0][1] * diagonals[1][0]))
     longest = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).max())
@@ -186,7 +188,7 @@ def tilt(up: Float64Array) -> tuple[float, float]:
 
 
 def _plausible(pitch_radians: float, roll_radians: float) -> float:
-    """Weigh a mounting: a robot's camera looks down by 5 to 75 degrees and is about level."""
+    """Return how plausible a mounting is, in [0, 1]: pitch 5 to 75 degrees, about level."""
     pitch, roll = math.degrees(pitch_radians), math.degrees(roll_radians)
     outside = max(5.0 - pitch, pitch - 75.0, 0.0)
     return math.exp(-0.5 * ((outside / 6.0) ** 2 + (roll / 15.0) ** 2))

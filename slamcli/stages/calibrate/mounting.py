@@ -1,4 +1,4 @@
-"""The camera that explains the points best: Levenberg-Marquardt, with a sigma for each number.
+"""Mounting from floor points by Levenberg-Marquardt, with a standard deviation of each number.
 
 The pose follows from the homography's columns (Zhang, A flexible new technique for camera
 calibration, PAMI 2000, 3.1); least squares on the reprojection of the points, weighted by their
@@ -13,10 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration, Intrinsics
+from slamcli.core.camera.footprint import choose_max_range, seen_floor
+from slamcli.core.camera.lens import image_centre
+from slamcli.core.camera.mounting import image_from_robot_homography
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import Pose2, apply_homography, invert
+from slamcli.core.robust import fit_rigid_2d
 from slamcli.stages.calibrate.closed_form import (
     fit_homography,
     floor_axes,
@@ -24,18 +27,21 @@ from slamcli.stages.calibrate.closed_form import (
     tilt,
 )
 
-# Beyond this the height and the pitch are guesses too.
+# Beyond this the height and the pitch are guesses too [guarded by tests/run/test_calibrate.py].
 _MAX_FOCAL_SIGMA_SHARE = 0.25
 # Nearer to straight down, the direction ahead and the roll are noise.
-_STEEPEST_PITCH_RADIANS = math.radians(89.9)
+_MAX_PITCH_RADIANS = math.radians(89.9)
 _MAX_LOG_HEIGHT = 20.0
-# A square that fits no better than this many sigmas is told of.
+# A residual of more sigmas than this is reported: the target may be no flat square.
 MISFIT_SIGMAS = 4.0
+_NO_CAMERA = (
+    "no camera above the floor sees the corners like this; check the corners and the side's length"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FloorPoints:
-    """Points of a flat target on the floor, and where they are seen.
+    """Points of a flat calibration target on the floor, and the pixels that show them.
 
     Attributes
     ----------
@@ -54,7 +60,7 @@ class FloorPoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mounting:
-    """The camera that explains the points best.
+    """Result of the fit: the camera's focal length and mounting, and how certain they are.
 
     Attributes
     ----------
@@ -87,10 +93,11 @@ def solve_mounting(points: FloorPoints, image_size: tuple[int, int]) -> Mounting
     Raises
     ------
     CalibrationError
-        When the points do not tell the focal length, or no camera above the floor sees them so.
+        When the points do not determine the focal length, or no camera above the floor sees them
+        like this.
     """
     width = float(image_size[0])
-    centre = projection.image_centre(image_size)
+    centre = image_centre(image_size)
     centring = np.array([[1.0, 0.0, -centre[0]], [0.0, 1.0, -centre[1]], [0.0, 0.0, 1.0]])
     homography = centring @ fit_homography(points.target, points.pixels)
     closed_form = focal_from_homography(homography, width)
@@ -104,8 +111,9 @@ def solve_mounting(points: FloorPoints, image_size: tuple[int, int]) -> Mounting
     share = float(mounting.sigmas[0]) / mounting.focal_pixels
     if not share < _MAX_FOCAL_SIGMA_SHARE:
         raise CalibrationError(
-            f"this view of the square leaves the focal length open (±{share:.0%}); tilt the camera "
-            "less steeply, bring the square nearer, or give --intrinsics camera_info.yaml"
+            "this view of the square does not determine the focal length (±"
+            f"{share:.0%}); tilt the camera less steeply, bring the square nearer, or give "
+            "--intrinsics camera_info.yaml"
         )
     return mounting
 
@@ -116,7 +124,7 @@ def solve_mounting_with_intrinsics(points: FloorPoints, intrinsics: Intrinsics) 
     Raises
     ------
     CalibrationError
-        When no camera above the floor sees the points so.
+        When no camera above the floor sees the points like this.
     """
     return _refine(points, intrinsics.camera_matrix, focal_free=False)
 
@@ -127,7 +135,7 @@ def make_calibration(
     intrinsics: Intrinsics | None,
     max_range_metres: float | None,
 ) -> Calibration:
-    """Return the record; the far limit is chosen by the sampling unless it is given.
+    """Return the calibration; the far limit is chosen by the sampling unless it is given.
 
     Raises
     ------
@@ -135,12 +143,12 @@ def make_calibration(
         When nothing of the floor is within the far limit.
     """
     if intrinsics is None:
-        column, row = projection.image_centre(image_size)
+        column, row = image_centre(image_size)
         focal = mounting.focal_pixels
         matrix = np.array([[focal, 0.0, column], [0.0, focal, row], [0.0, 0.0, 1.0]])
         intrinsics = Intrinsics(matrix, np.zeros(5), "plumb_bob", image_size)
     matrix = intrinsics.camera_matrix
-    image_from_robot = projection.image_from_robot_homography(
+    image_from_robot = image_from_robot_homography(
         matrix, mounting.height_metres, mounting.pitch_radians, mounting.roll_radians
     )
     calibration = Calibration(
@@ -153,7 +161,7 @@ def make_calibration(
         pitch_radians=mounting.pitch_radians,
         roll_radians=mounting.roll_radians,
         max_range_metres=(
-            projection.choose_max_range(matrix, image_from_robot, image_size)
+            choose_max_range(matrix, image_from_robot, image_size)
             if max_range_metres is None
             else max_range_metres
         ),
@@ -162,58 +170,76 @@ def make_calibration(
         pitch_sigma_radians=float(mounting.sigmas[2]),
         roll_sigma_radians=float(mounting.sigmas[3]),
     )
-    projection.seen_floor(calibration)
+    seen_floor(calibration)
     return calibration
 
 
 def _refine(points: FloorPoints, camera_matrix: Float64Array, *, focal_free: bool) -> Mounting:
-    """Run Levenberg-Marquardt on (log f,) log height, pitch, roll, x, y, yaw."""
-    parameters = _start(points, camera_matrix)
-    if not focal_free:
-        parameters = parameters[1:]
+    """Run Levenberg-Marquardt on (log zoom,) log height, pitch, roll, x, y, yaw."""
+    start = _start(points, camera_matrix)
     whiten = invert(np.asarray(np.linalg.cholesky(points.covariance), dtype=np.float64))
 
     def unpack(values: Float64Array) -> Float64Array:
         return values if focal_free else np.concatenate([[0.0], values])
 
-    # Slow to load, and of no use to those who only read a calibration.
+    # Slow to load, and not needed to read a calibration.
     from scipy.optimize import least_squares
 
     def residuals(values: Float64Array) -> Float64Array:
         projected = _project(points.target, camera_matrix, unpack(values))
-        return np.asarray(whiten @ (projected - points.pixels).ravel(), dtype=np.float64)
+        return whiten @ (projected - points.pixels).ravel()
 
     try:
-        solution = least_squares(residuals, parameters, method="lm", x_scale="jac", max_nfev=2000)
-    except ValueError as error:
-        raise CalibrationError("no camera above the floor sees the corners like this") from error
-    values = unpack(solution.x)
-    _, height, pitch, roll, x, y, yaw = values
-    if pitch > _STEEPEST_PITCH_RADIANS:
-        raise CalibrationError(
-            "the camera looks straight down, which leaves the focal length and the direction ahead "
-            "open; tilt the camera, or give --intrinsics camera_info.yaml"
+        solution = least_squares(
+            residuals, start if focal_free else start[1:], method="lm", x_scale="jac", max_nfev=2000
         )
-    if abs(roll) > math.pi / 2 or pitch < -math.pi / 2 or abs(height) > _MAX_LOG_HEIGHT:
-        raise CalibrationError("no camera above the floor sees the corners like this")
+    except ValueError as error:
+        raise CalibrationError(_NO_CAMERA) from error
+    values = unpack(solution.x)
+    _check_mounting(values)
     freedom = max(len(solution.fun) - len(solution.x), 1)
     misfit = math.sqrt(float(solution.fun @ solution.fun) / freedom)
     jacobian = np.asarray(solution.jac, dtype=np.float64)
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(1.0, misfit) ** 2
-    sigma = np.sqrt(np.diag(covariance))[: 4 if focal_free else 3]
-    focal = math.sqrt(float(camera_matrix[0, 0] * camera_matrix[1, 1])) * math.exp(values[0])
-    focal_sigma = focal * float(sigma[0]) if focal_free else 0.0
-    height_sigma, pitch_sigma, roll_sigma = sigma[-3:]
-    parting = _project(points.target, camera_matrix, values) - points.pixels
+    sigmas = np.sqrt(np.diag(covariance))
+    if not focal_free:
+        sigmas = np.concatenate([[0.0], sigmas])
+    return _to_mounting(points, camera_matrix, values, sigmas, misfit)
+
+
+def _check_mounting(values: Float64Array) -> None:
+    """Raise CalibrationError for a camera that is not above the floor, or looks straight down."""
+    _, log_height, pitch, roll, *_ = values
+    if pitch > _MAX_PITCH_RADIANS:
+        raise CalibrationError(
+            "the camera looks straight down, so that the focal length and the direction ahead are "
+            "not determined; tilt the camera, or give --intrinsics camera_info.yaml"
+        )
+    if abs(roll) > math.pi / 2 or pitch < -math.pi / 2 or abs(log_height) > _MAX_LOG_HEIGHT:
+        raise CalibrationError(_NO_CAMERA)
+
+
+def _to_mounting(
+    points: FloorPoints,
+    camera_matrix: Float64Array,
+    values: Float64Array,
+    sigmas: Float64Array,
+    misfit_sigmas: float,
+) -> Mounting:
+    """Return the mounting of (7,) values and the sigmas of the first four."""
+    log_zoom, log_height, pitch, roll, x, y, yaw = values
+    focal = math.sqrt(float(camera_matrix[0, 0] * camera_matrix[1, 1])) * math.exp(log_zoom)
+    height = math.exp(log_height)
+    difference = _project(points.target, camera_matrix, values) - points.pixels
     return Mounting(
         focal_pixels=focal,
-        height_metres=math.exp(height),
+        height_metres=height,
         pitch_radians=float(pitch),
         roll_radians=float(roll),
-        sigmas=np.array([focal_sigma, math.exp(height) * height_sigma, pitch_sigma, roll_sigma]),
+        sigmas=np.array([focal * sigmas[0], height * sigmas[1], sigmas[2], sigmas[3]]),
         robot_from_target=Pose2(float(x), float(y), float(yaw)),
-        residual_pixels=float(np.sqrt(np.mean(np.sum(parting**2, axis=1)))),
-        misfit_sigmas=misfit,
+        residual_pixels=float(np.sqrt(np.mean(np.sum(difference**2, axis=1)))),
+        misfit_sigmas=misfit_sigmas,
     )
 
 
@@ -222,7 +248,7 @@ def _project(
 ) -> Float64Array:
     log_zoom, log_height, pitch, roll, x, y, yaw = (float(value) for value in values)
     zoomed = camera_matrix @ np.diag([math.exp(log_zoom), math.exp(log_zoom), 1.0])
-    homography = projection.image_from_robot_homography(zoomed, math.exp(log_height), pitch, roll)
+    homography = image_from_robot_homography(zoomed, math.exp(log_height), pitch, roll)
     return apply_homography(homography, Pose2(x, y, yaw).apply(target))
 
 
@@ -234,15 +260,8 @@ def _start(points: FloorPoints, camera_matrix: Float64Array) -> Float64Array:
     origin = columns[:, 2] / scale
     height = -float(origin @ up)
     if height <= 0:
-        raise CalibrationError("no camera above the floor sees the corners like this")
-    image_from_robot = projection.image_from_robot_homography(camera_matrix, height, pitch, roll)
+        raise CalibrationError(_NO_CAMERA)
+    image_from_robot = image_from_robot_homography(camera_matrix, height, pitch, roll)
     floor = apply_homography(invert(image_from_robot), points.pixels)
-    # The least-squares rotation between two point sets (Umeyama, PAMI 1991), in the plane.
-    target_centred = points.target - points.target.mean(axis=0)
-    floor_centred = floor - floor.mean(axis=0)
-    cosine = float(np.sum(target_centred * floor_centred))
-    sine = float(np.sum(target_centred[:, 0] * floor_centred[:, 1]))
-    sine -= float(np.sum(target_centred[:, 1] * floor_centred[:, 0]))
-    yaw = math.atan2(sine, cosine)
-    middle = floor.mean(axis=0) - Pose2(0.0, 0.0, yaw).apply(points.target.mean(axis=0))
-    return np.array([0.0, math.log(height), pitch, roll, middle[0], middle[1], yaw])
+    placed = fit_rigid_2d(floor, points.target)
+    return np.array([0.0, math.log(height), pitch, roll, placed.x, placed.y, placed.theta])

@@ -18,6 +18,7 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Pose2, apply_homography, invert
 from slamcli.core.records import PyramidLevel
+from slamcli.core.robust import SIGMA_PER_MAD
 from slamcli.stages.dense import pyramid, rocking
 from slamcli.stages.dense.covariance import FitState, NormalEquations, covariance_of
 
@@ -340,7 +341,7 @@ def _solve(
     least_noise : float
         Of a residual, one standard deviation.
     """
-    spread = 1.4826 * _median(np.abs(residual - _median(residual)))
+    spread = SIGMA_PER_MAD * _median(np.abs(residual - _median(residual)))
     noise = max(spread, min_noise, 1e-6)
     weight = np.minimum(1.0, _HUBER_SIGMAS * noise / np.maximum(np.abs(residual), 1e-12))
     weight /= noise**2 * _CORRELATED_PIXELS

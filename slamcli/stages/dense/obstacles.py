@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.resolution import floor_sampling
 from slamcli.core.geometry import apply_homography, invert
 from slamcli.core.records import PyramidLevel
 from slamcli.stages.dense import pyramid
@@ -125,7 +125,7 @@ def _in_company(unlike: BoolArray) -> BoolArray:
 
 def _resolved(calibration: Calibration, points: Float64Array) -> Float64Array:
     """Return (N,): metres of floor that one pixel of the camera spans, in its longer direction."""
-    return np.asarray(projection.floor_sampling(calibration, points).max(axis=1), np.float64)
+    return np.asarray(floor_sampling(calibration, points).max(axis=1), np.float64)
 
 
 def _compare(

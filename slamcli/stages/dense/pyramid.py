@@ -11,6 +11,7 @@ import numpy as np
 from slamcli.core.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
 from slamcli.core.geometry import Grid, apply_homography, invert
 from slamcli.core.records import PyramidLevel, View
+from slamcli.core.robust import NORMAL_MEDIAN
 
 # From half the view's resolution on, which already resolves hundredths of a pixel, down to where a
 # search over every rotation and translation costs some tens of milliseconds.
@@ -29,7 +30,7 @@ _MIN_CONTRAST_GRAY = 1.0
 _NOISE_TIMES = 3.0
 # White noise, halved once and smoothed as the detail is, leaves its deviation over 1.57; the median
 # of its size is 0.6745 deviations. Halving it again leaves 0.48 of it.
-_NOISE_FACTOR = 1.57 / 0.6745
+_NOISE_FACTOR = 1.57 / NORMAL_MEDIAN
 _HALVED_NOISE = 0.48
 # pyrDown keeps even pixels, so a level's pixel is half the one before's.
 _HALVE = np.diag([0.5, 0.5, 1.0])

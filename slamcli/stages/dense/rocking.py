@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.mounting import image_from_robot_homography
 from slamcli.core.geometry import apply_homography
 
 # A robot that rocks by a radian bounces by so many times its camera's height.
@@ -27,7 +27,7 @@ def shown_from_floor(calibration: Calibration, mounting: Float64Array) -> Float6
     """Return (3, 3): where a view made by the calibration shows the floor of a tilted frame."""
     if not np.any(mounting):
         return np.eye(3)
-    tilted = projection.image_from_robot_homography(
+    tilted = image_from_robot_homography(
         calibration.camera_matrix,
         calibration.height_metres + float(mounting[2]),
         calibration.pitch_radians + float(mounting[0]),

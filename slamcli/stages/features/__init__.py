@@ -1,4 +1,4 @@
-"""Points of the floor that can be found again, on the bird's-eye view, in metres.
+"""Feature extraction: keypoints and descriptors of the bird's-eye view, placed on the floor.
 
 ORB: Rublee et al., ICCV 2011. SIFT: Lowe, IJCV 60, 2004. The low-pass with a threshold
 (``clean_image``) and the region of interest are those of the 2015 thesis.
@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float32Array, UInt8Array
-from slamcli.core.camera import projection
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.resolution import floor_sampling, range_sigma
 from slamcli.core.config import FeatureOptions
 from slamcli.core.geometry import apply_homography
 from slamcli.core.records import Features, Keypoints, View
@@ -61,18 +61,16 @@ def detect(view: View, options: FeatureOptions) -> Keypoints:
 def to_features(
     view: View, keypoints: Keypoints, calibration: Calibration, tilt_sigma_radians: float = 0.0
 ) -> Features:
-    """Place a view's keypoints on the floor, with what they may err by.
+    """Place a view's keypoints on the floor, with their standard deviations.
 
     A point errs by a share of a pixel: of the pixel, of the view or of the camera's picture,
     that is coarser where it lies, times the scale of the pyramid level that it was found on.
     """
     points = apply_homography(view.grid.metres_from_pixel, keypoints.pixels)
-    pixel = np.maximum(projection.floor_sampling(calibration, points), view.grid.metres_per_pixel)
+    pixel = np.maximum(floor_sampling(calibration, points), view.grid.metres_per_pixel)
     sigmas = pixel * keypoints.sigmas[:, None]
     if tilt_sigma_radians > 0.0:
-        sigmas[:, 0] = np.hypot(
-            sigmas[:, 0], projection.range_sigma(calibration, points, tilt_sigma_radians)
-        )
+        sigmas[:, 0] = np.hypot(sigmas[:, 0], range_sigma(calibration, points, tilt_sigma_radians))
     return Features(
         points.astype(np.float32),
         keypoints.descriptors,
@@ -86,7 +84,7 @@ def to_features(
 
 
 def prepare(view: View, options: FeatureOptions) -> DetectorInput:
-    """Return what the detector is shown of a gray view: cleaned, and where points may lie."""
+    """Return the detector's input from a gray view: cleaned, and where points may lie."""
     gray = view.image
     if options.clean:
         gray = clean_image(gray, options.clean_kernel_pixels, options.clean_threshold)
@@ -124,5 +122,5 @@ def seen_clearance(mask: UInt8Array) -> Float32Array:
     framed = cv2.copyMakeBorder(seen, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     distance = cv2.distanceTransform(framed, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     # From anywhere in a block to the near side of the nearest block that is not wholly seen.
-    clear = np.maximum(np.asarray(distance[1:-1, 1:-1]) - 1.0, 0.0) * step
+    clear = np.maximum(distance[1:-1, 1:-1] - 1.0, 0.0) * step
     return np.asarray(clear, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""ORB and SIFT through OpenCV: spread over the picture and placed to a fraction of a pixel."""
+"""Feature detectors: ORB and SIFT, spread over the picture and placed to a fraction of a pixel."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from slamcli.stages.features import subpixel
 from slamcli.stages.features.learned import detect_learned
 from slamcli.stages.features.selection import DetectorInput, choose, pixel_from_level
 
-# Spreading picks among this many times the points asked for: a painted line must not use them all
-# up. ORB finds them at little extra cost.
+# Spreading picks among this many times the points wanted: a painted line must not use them all
+# up. ORB finds them at little extra cost [guarded by benchmarks/robustness.py].
 _ORB_SURPLUS = 12
-# SIFT describes what it finds at once, which costs; its points crowd less.
+# SIFT describes every point at once, which costs; its points crowd less.
 _SIFT_SURPLUS = 4
 # One sigma in pixels of the level a point was found on, by the residuals of true matches on
-# asphalt-like noise.
+# asphalt-like noise [guarded by benchmarks/accuracy.py].
 _REFINED_SIGMA_PIXELS = 0.25
 _CORNER_SIGMA_PIXELS = 0.5
 _SIFT_SIGMA_PIXELS = 0.2
@@ -58,7 +58,7 @@ def _detect_orb(picture: DetectorInput, options: FeatureOptions) -> Keypoints:
 def _usable_levels(gray: UInt8Array, options: FeatureOptions) -> int:
     """Return how many levels are larger than the border that is left out of each.
 
-    Smaller ones hold no point, and OpenCV fails when one has no pixel left.
+    Smaller ones have no point, and OpenCV fails when one has no pixel left.
     """
     side = min(gray.shape)
     levels = options.first_level + 1
@@ -89,7 +89,7 @@ def _orb_scale(options: FeatureOptions, octave: int) -> float:
 
 
 def _place_on_levels(keypoints: Keypoints, gray: UInt8Array, options: FeatureOptions) -> Keypoints:
-    """Mend where OpenCV puts ORB's points, and refine them if so asked.
+    """Correct where OpenCV puts ORB's points, and refine them if the options say so.
 
     OpenCV multiplies a level's whole pixels by the level's scale. That leaves out that the centre
     of a coarse pixel lies half a coarse pixel from its corner, and that a level has a whole number
@@ -175,7 +175,7 @@ def _choose(
 
 
 def _unturned(keypoints: Keypoints, options: FeatureOptions) -> Keypoints:
-    """Return keypoints that tell no angle where none was looked for."""
+    """Return keypoints without angles where the options leave them out."""
     if not options.upright:
         return keypoints
     return replace(keypoints, angles=np.full_like(keypoints.angles, np.nan))

@@ -1,4 +1,4 @@
-"""Points by a trained network: ALIKED or DISK, from the user's weights."""
+"""Learned features: ALIKED or DISK, from the user's weights."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slamcli.stages.features.selection import DetectorInput, choose, pixel_from_
 
 # Of the network's own picture: ALIKED places its points between the pixels, DISK upon them.
 _SIGMA_PIXELS = {"aliked": 0.25, "disk": 0.5}
-# About what both networks see of a point, to be drawn.
+# About the size of the patch that both networks see of a point, for drawings.
 _SEEN_PIXELS = 8.0
 
 

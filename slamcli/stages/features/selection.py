@@ -1,4 +1,4 @@
-"""Which of the points found are kept, and where a level's pixels lie in its picture."""
+"""Keypoint selection: on seen floor, strong, and spread; and pixels of a pyramid level."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from slamcli.core.geometry import Grid
 
 # Pixels to the side of one value of DetectorInput.clearance.
 CLEARANCE_STEP = 4
-# Enough that a cell of sharp paint gives more than one of dull floor, which matches worse.
+# Enough that a cell of sharp paint gives more points than one of dull floor, which matches worse
+# [guarded by benchmarks/robustness.py].
 _POINTS_PER_CELL = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectorInput:
-    """What a detector is shown of a view.
+    """The picture in which a detector finds points, and where they may lie.
 
     Attributes
     ----------
     gray : (h, w) uint8
-        Cleaned, if so asked.
+        Cleaned, if the options say so.
     allowed : (h, w) uint8
         255 where a point may lie.
     clearance : (h / 4, w / 4) float32 or None
@@ -43,7 +44,7 @@ def choose(
     scales: Float64Array | float,
     options: FeatureOptions,
 ) -> Int64Array:
-    """Return which points to keep: patches wholly on seen floor, strong, spread if so asked.
+    """Return which points to keep: patches wholly on seen floor, strong, spread if so chosen.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Where a corner lies between the pixels: the nearest peak of the Laplacian of Gaussian.
+"""Subpixel refinement of corners: the nearest peak of the Laplacian of Gaussian.
 
 ORB's corners lie on whole pixels, and which pixel of a corner wins changes with the view. The peak
 of a Laplacian of Gaussian near it is a place in the texture itself, the same from every direction
@@ -17,7 +17,7 @@ from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, Int64Arra
 
 # Chosen by the error of rigid fits on asphalt-like noise; 1.2 to 2.4 differ by little.
 _SIGMA_PIXELS = 2.0
-# How far from the corner the peak is looked for; the ring around it is for the parabola alone.
+# How far from the corner the peak is searched; the ring around it is for the parabola alone.
 _SEARCH_PIXELS = 2
 _RESPONSE_RADIUS = _SEARCH_PIXELS + 1
 _PATCH_RADIUS = _RESPONSE_RADIUS + math.ceil(3 * _SIGMA_PIXELS)
@@ -75,7 +75,7 @@ def _kernels() -> tuple[Float32Array, Float32Array]:
     smooth = np.exp(-(distance**2) / (2.0 * variance))
     smooth /= smooth.sum(axis=1, keepdims=True)
     curved = smooth * (distance**2 / variance - 1.0) / variance
-    # Cut-off tails leave a remainder that would answer to plain brightness.
+    # Cut-off tails leave a remainder that would respond to plain brightness.
     curved -= curved.mean(axis=1, keepdims=True)
     return smooth.astype(np.float32), curved.astype(np.float32)
 
@@ -83,7 +83,7 @@ def _kernels() -> tuple[Float32Array, Float32Array]:
 def _peaks(response: Float32Array) -> tuple[Float64Array, BoolArray]:
     """Return the offset (N, 2) of each patch's highest inner response, by a parabola through 3x3.
 
-    The second value tells where that really is a peak, less than a pixel from its centre.
+    The second value, (N,) bool, is where that really is a peak, less than a pixel from its centre.
     """
     count, side = len(response), 2 * _SEARCH_PIXELS + 1
     best = response[:, 1:-1, 1:-1].reshape(count, -1).argmax(axis=1)

@@ -1,4 +1,4 @@
-"""From the painted map to what a planner wants: free, occupied, unknown."""
+"""Obstacles for a planner's occupancy grid: cells of the painted map that are not free floor."""
 
 from __future__ import annotations
 
@@ -7,31 +7,32 @@ import numpy as np
 
 from slamcli.core.arrays import BoolArray, UInt8Array
 
-# The alpha of what stands for good in a tile's `obstacles`; what passed has less.
-STANDS_ALPHA, PASSED_ALPHA = 255, 150
-# The widest stripe that is a line and not a field.
+# Alpha in a tile's `obstacles` of a permanent obstacle, and of one that was there for some views
+# only.
+PERMANENT_ALPHA, PASSED_ALPHA = 255, 150
+# A wider stripe is a field and not a line [guarded by tests/stages/test_mosaic.py].
 _MAX_LINE_METRES = 0.08
 _MIN_LINE_CONTRAST_GRAY = 40.0
 
 
 def obstacle_cells(obstacles: UInt8Array, factor: int) -> BoolArray:
-    """Return (h / factor, w / factor): whether anything stands in each cell.
+    """Return (h / factor, w / factor): whether there is a permanent obstacle in each cell.
 
     Parameters
     ----------
     obstacles : (h, w, 4) uint8 BGRA
         Of a tile.
     """
-    return _any(obstacles[..., 3] >= STANDS_ALPHA, factor)
+    return _any(obstacles[..., 3] >= PERMANENT_ALPHA, factor)
 
 
 def line_cells(image: UInt8Array, mask: UInt8Array, metres_per_pixel: float) -> BoolArray:
-    """Return (h, w): where a picture shows a painted line, brighter than the floor beside it.
+    """Return (h, w): where an image shows a painted line, brighter than the floor beside it.
 
     By the white top-hat (Serra, Image Analysis and Mathematical Morphology, 1982) over the widest
     line, and Otsu's threshold, at least some contrast.
     """
-    gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     side = max(3, round(_MAX_LINE_METRES / metres_per_pixel) * 2 + 1)
     # Unseen is taken as bright, so that the border of what was seen is no line.
     filled = np.where(mask > 0, gray, np.uint8(255))

@@ -1,4 +1,4 @@
-"""The endless raster of the map, cut into tiles and those into cells."""
+"""Tiles of the unbounded raster of the map, and the cells that each tile is divided into."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.geometry import Grid
 
 TILE_PIXELS = 512
-# What is decided about a view (does it show floor, does it win) is decided for a cell at a time.
+# Whether a view shows floor, and which view is the best, is decided a cell at a time.
 CELL_PIXELS = 8
-# Decisions look so far around, so that neighbouring tiles decide alike along their border.
+# Decisions use a margin this wide, so that neighbouring tiles decide alike along their border.
 MARGIN_CELLS = 12
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class TileKey:
-    """Row (downwards) and column (to the right) of a tile; the map's origin is a corner of four."""
+    """Row (downwards) and column (to the right) of a tile; four tiles meet at the map's origin."""
 
     row: int
     column: int
 
 
 def tile_grid(key: TileKey, metres_per_pixel: float, margin_pixels: int = 0) -> Grid:
-    """Return a tile's raster in the map, with so many pixels more on every side."""
+    """Return a tile's raster in the map, with a margin on every side."""
     side = TILE_PIXELS + 2 * margin_pixels
     return Grid(
         (key.column * TILE_PIXELS - margin_pixels) * metres_per_pixel,
@@ -82,7 +82,7 @@ def tiles_under(outline: Float64Array, metres_per_pixel: float) -> list[TileKey]
 
 
 def extent_of(keys: Iterable[TileKey], metres_per_pixel: float) -> Grid | None:
-    """Return the smallest grid of whole tiles that holds all of some; None for none."""
+    """Return the smallest grid of whole tiles that contains all of `keys`; None for none."""
     found = list(keys)
     if not found:
         return None

@@ -10,6 +10,7 @@ import numpy as np
 
 from slamcli.core.arrays import Float32Array, Float64Array
 from slamcli.core.geometry import Pose2
+from slamcli.core.robust import fit_rigid_2d
 
 # Matches that must agree. [benchmarks/locate.py: 0 of 250 frames of other floor placed]
 MIN_VOTES = 5
@@ -59,7 +60,7 @@ def vote(points_a: Float32Array, points_b: Float32Array) -> tuple[Pose2, int] | 
     for _ in range(_REFITS):
         if np.count_nonzero(agree) < MIN_VOTES:
             return None
-        pose = _rigid(a[agree], b[agree], 1.0 / tolerance[agree] ** 2)
+        pose = fit_rigid_2d(a[agree], b[agree], 1.0 / tolerance[agree] ** 2)
         agree = np.hypot(*(pose.apply(b) - a).T) < tolerance
     count = int(np.count_nonzero(agree))
     return (pose, count) if count >= MIN_VOTES else None
@@ -79,15 +80,3 @@ def _residuals(
     away_x = cosine * x - sine * y + middle_a[:, :1] - a[None, :, 0]
     away_y = sine * x + cosine * y + middle_a[:, 1:] - a[None, :, 1]
     return np.hypot(away_x, away_y)
-
-
-def _rigid(a: Float64Array, b: Float64Array, weights: Float64Array) -> Pose2:
-    """Return the weighted least-squares rigid motion (Umeyama, PAMI 13, 1991, in the plane)."""
-    share = weights / weights.sum()
-    middle_a, middle_b = share @ a, share @ b
-    from_a, from_b = a - middle_a, b - middle_b
-    along = float(share @ (from_a * from_b).sum(axis=1))
-    across = float(share @ (from_b[:, 0] * from_a[:, 1] - from_b[:, 1] * from_a[:, 0]))
-    turn = Pose2(0.0, 0.0, float(np.arctan2(across, along)))
-    shift = middle_a - turn.apply(middle_b)
-    return Pose2(float(shift[0]), float(shift[1]), turn.theta)

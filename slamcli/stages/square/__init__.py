@@ -1,4 +1,4 @@
-"""Finding a square on the floor in a photo, its corners to a fraction of a pixel.
+"""Square detection: a square on the floor in a photo, its corners to a fraction of a pixel.
 
 `candidates` proposes quadrilaterals, `edges` fits their sides to the picture, `search` chooses.
 """

@@ -1,4 +1,4 @@
-"""Quadrilaterals that may be the square, from outlines of regions at many thresholds.
+"""Square candidates: quadrilaterals from the outlines of regions at many thresholds.
 
 A region's outline is cut into straight pieces, and every four of them that close to a convex
 quadrilateral are a candidate: so a painted line that touches the square, which adds corners to the
@@ -16,16 +16,22 @@ import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float64Array, Int32Array, IntpArray, UInt8Array
 
-# Smaller than this share of the picture a square cannot say much about the camera.
+# Smaller than this share of the picture a square determines little of the camera
+# [guarded by tests/stages/test_square.py].
 _MIN_AREA_SHARE = 0.0008
 _MIN_AREA_PIXELS = 150.0
+# Gray levels at which the picture is cut, and openings that shed thin lines at each.
 _THRESHOLD_LEVELS = 14
 _OPENINGS_PIXELS = (0, 7, 15)
+# How far an outline may leave its straight pieces, as shares of its size.
 _TOLERANCES = (0.02, 0.04, 0.08)
+# Four of ten pieces are 210 candidates; an outline of more vertices is no painted shape.
 _MAX_PIECES = 10
 _MAX_VERTICES = 40
-_GLANCES_PER_SIDE = 6
+_FEW_SAMPLES_PER_SIDE = 6
 _SAMPLES_PER_SIDE = 24
+# Share of the samples along the sides that must show the step: saves refining what `search` rejects
+# too (no test depends on its value).
 _MIN_SUPPORT = 0.35
 # Two quadrilaterals are one when no corner differs by more than this share of their size.
 _SAME_SHARE = 0.06
@@ -33,19 +39,19 @@ _SAME_AREA_SHARE = 0.03
 _SAME_BOX_PIXELS = 3
 
 
-def find_candidates(image: UInt8Array, most: int) -> tuple[Float64Array, Float64Array]:
+def find_candidates(image: UInt8Array, max_count: int) -> tuple[Float64Array, Float64Array]:
     """Return the quadrilaterals best supported by edges.
 
     Parameters
     ----------
     image : (H, W) uint8
         About a thousand pixels wide at most: the thresholds and openings are made for that.
-    most : int
+    max_count : int
 
     Returns
     -------
     quads : (N, 4, 2) float64
-        Corners in pixels, clockwise in the picture, best first; N <= most.
+        Corners in pixels, clockwise in the picture, best first; N <= max_count.
     supports : (N,) float64
         In [0, 1].
     """
@@ -66,10 +72,10 @@ def find_candidates(image: UInt8Array, most: int) -> tuple[Float64Array, Float64
     quads = quads[inside]
     _, first = np.unique(np.rint(quads / 2.0).reshape(-1, 8), axis=0, return_index=True)
     quads = quads[np.sort(first)]
-    # A glance at each, then a closer look at those that may do: most are nonsense.
-    quads = quads[edge_support(smooth, quads, _GLANCES_PER_SIDE) >= _MIN_SUPPORT]
+    # Few samples of each, then more of those that pass: most are no square at all.
+    quads = quads[edge_support(smooth, quads, _FEW_SAMPLES_PER_SIDE) >= _MIN_SUPPORT]
     supports = edge_support(smooth, quads, _SAMPLES_PER_SIDE)
-    return _keep_distinct(quads, supports, most)
+    return _keep_distinct(quads, supports, max_count)
 
 
 def edge_support(smooth: UInt8Array, quads: Float64Array, samples: int) -> Float64Array:
@@ -108,6 +114,12 @@ def quad_area(quads: Float64Array) -> Float64Array:
     return area
 
 
+def inner_radius(quad: Float64Array) -> float:
+    """Return about the radius, pixels, of the largest circle in a quadrilateral."""
+    perimeter = float(np.linalg.norm(np.roll(quad, -1, axis=0) - quad, axis=1).sum())
+    return 2.0 * float(quad_area(quad)) / perimeter
+
+
 def same_quad(quad: Float64Array, others: Float64Array) -> BoolArray:
     """Return (N,) whether each of (N, 4, 2) quadrilaterals is `quad` but for small differences."""
     size = float(np.sqrt(quad_area(quad)))
@@ -122,7 +134,7 @@ def _binaries(smooth: UInt8Array) -> Iterator[UInt8Array]:
     """Yield the picture cut at many levels, each opened to shed thin lines, light and dark."""
     low, high = np.percentile(smooth, (1, 99))
     levels = np.linspace(low, high, _THRESHOLD_LEVELS + 2)[1:-1]
-    cuts = [np.asarray(smooth > level) for level in levels]
+    cuts = [smooth > level for level in levels]
     for share in (0.12, 0.4):
         block = int(share * smooth.shape[1]) | 1
         mean = cv2.boxFilter(smooth, cv2.CV_32F, (block, block), borderType=cv2.BORDER_REPLICATE)
@@ -147,7 +159,7 @@ def _outlines(binary: UInt8Array, min_area: float) -> list[Int32Array]:
 
 
 def _rough_shape(outline: Int32Array) -> tuple[int, ...]:
-    """Return a key that outlines share which give the same candidates: neighbouring thresholds."""
+    """Return a key that is equal for outlines of one region at neighbouring thresholds."""
     low, high = outline.min(axis=0), outline.max(axis=0)
     log_area = round(float(np.log(cv2.contourArea(outline))) / _SAME_AREA_SHARE)
     log_length = round(float(np.log(len(outline))) / _SAME_AREA_SHARE)
@@ -171,7 +183,7 @@ def _quads_of_outline(outline: Int32Array, min_area: float) -> Iterator[Float64A
 
 def _fit_pieces(outline: Int32Array, vertices: Int32Array) -> Float64Array:
     """Return (n, 3) lines fitted to the outline's points along its longest straight pieces."""
-    cuts = _places_of(vertices, outline)
+    cuts = _indices_of(vertices, outline)
     counts = (np.roll(cuts, -1) - cuts) % len(outline)
     pieces = np.sort(np.argsort(-counts, kind="stable")[:_MAX_PIECES])
     # The ends are rounded by blur and opening.
@@ -195,8 +207,8 @@ def _fit_pieces(outline: Int32Array, vertices: Int32Array) -> Float64Array:
     return line_through(centre, centre + direction)
 
 
-def _places_of(vertices: Int32Array, outline: Int32Array) -> IntpArray:
-    """Return where on the outline each of some of its points lies."""
+def _indices_of(vertices: Int32Array, outline: Int32Array) -> IntpArray:
+    """Return the indices in the outline of some of its points."""
     codes = outline[:, 0].astype(np.int64) << 32 | outline[:, 1]
     order = np.argsort(codes, kind="stable")
     wanted = vertices[:, 0].astype(np.int64) << 32 | vertices[:, 1]
@@ -255,14 +267,14 @@ def _look_up(image: UInt8Array, points: Float64Array) -> Float64Array:
 
 
 def _keep_distinct(
-    quads: Float64Array, supports: Float64Array, most: int
+    quads: Float64Array, supports: Float64Array, max_count: int
 ) -> tuple[Float64Array, Float64Array]:
     """Keep the best of each group of near-equal quadrilaterals, large before small at a tie."""
     ranking = supports * quad_area(quads) ** 0.1
     order = np.argsort(-ranking, kind="stable")
     order = order[supports[order] >= _MIN_SUPPORT]
     kept: list[int] = []
-    while len(order) and len(kept) < most:
+    while len(order) and len(kept) < max_count:
         best, order = order[0], order[1:]
         kept.append(int(best))
         order = order[~same_quad(quads[best], quads[order])]

@@ -1,4 +1,4 @@
-"""Straight sides fitted to edge points, with what is known of how straight they are."""
+"""Line fits to the edge points of a side, with their covariance and how much the side bends."""
 
 from __future__ import annotations
 
@@ -8,18 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
+from slamcli.core.robust import SIGMA_PER_MAD
 from slamcli.stages.square.candidates import line_through
 
-_TUKEY = 4.685
+# In sigmas: 95 % of the efficiency of least squares on normal errors.
+_TUKEY_SIGMAS = 4.685
 _MIN_SCALE_PIXELS = 0.03
 _REWEIGHTINGS = 6
 _RANSAC_DRAWS = 80
-# What rendering, demosaicking and gamma leave as a common shift of a whole side, one sigma.
+# Common shift of a whole side by rendering, demosaicking and gamma, one sigma.
 _SYSTEMATIC_PIXELS = 0.02
 _MAX_CORRELATED_PROFILES = 30
-# One sigma of how a lens that nobody calibrated bends a line right across the picture, as a share
+# One sigma of how a lens without calibration bends a line right across the picture, as a share
 # of its width; the sagitta grows with the square of the length.
 _USUAL_BOW = 0.0005
+# A bow of fewer sigmas may be chance.
 _CHANCE_SIGMAS = 3.0
 # Variance of x^2's coefficient over N points spread evenly on [-1, 1], times N / variance.
 _BOW_VARIANCE_FACTOR = 11.25
@@ -27,10 +30,10 @@ _BOW_VARIANCE_FACTOR = 11.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Side:
-    """A fitted side: a point and unit direction, and the (2, 2) covariance of shift and slope.
+    """A line fitted to a side: a point, unit direction and (2, 2) covariance of shift and slope.
 
     Its bow is the sagitta of a parabola over `half_length` to either side of the centre, positive
-    inwards, shrunk towards zero by how far chance may have made it.
+    inwards, shrunk towards zero by how much of it may be chance.
     """
 
     centre: Float64Array
@@ -66,7 +69,7 @@ def fit_side(
     contrast : float
         Gray levels, passed on.
     width_pixels : float
-        Of the picture, which tells how much a usual lens bends a line of some length.
+        Of the picture, by which a usual lens bends a line of some length.
     """
     mass = float(weights.sum())
     centre, direction = _fit_line(points, weights)
@@ -81,7 +84,7 @@ def fit_side(
     slope = variance * correlated / moment + (_SYSTEMATIC_PIXELS / span / 2) ** 2
     half_length = math.sqrt(3.0) * span
     bow, bow_sigma = _measure_bow(along / half_length, across, weights)
-    # Shrunk towards straight, but for what a usual lens may bend, or what cannot be chance.
+    # Shrunk towards straight, except for what a usual lens may bend and what cannot be chance.
     usual = _USUAL_BOW * (2.0 * half_length) ** 2 / width_pixels
     lens_gain = usual**2 / (usual**2 + bow_sigma**2 + 1e-12)
     certainty = 1.0 - (_CHANCE_SIGMAS * bow_sigma / bow) ** 2 if bow else 0.0
@@ -106,8 +109,8 @@ def fit_side_robustly(
     for _ in range(_REWEIGHTINGS):
         centre, direction = _fit_line(points, weights)
         distance = (points - centre) @ np.array([direction[1], -direction[0]])
-        scale = max(1.4826 * float(np.median(np.abs(distance))), _MIN_SCALE_PIXELS)
-        weights = np.clip(1.0 - (distance / (_TUKEY * scale)) ** 2, 0.0, None) ** 2
+        scale = max(SIGMA_PER_MAD * float(np.median(np.abs(distance))), _MIN_SCALE_PIXELS)
+        weights = np.clip(1.0 - (distance / (_TUKEY_SIGMAS * scale)) ** 2, 0.0, None) ** 2
     return fit_side(points, weights, total, contrast, width_pixels)
 
 
@@ -123,13 +126,13 @@ def _fit_line(points: Float64Array, weights: Float64Array) -> tuple[Float64Array
 
 
 def ransac_weights(points: Float64Array) -> Float64Array:
-    """Return (N,) 1 for the points of the line through two of them that has most, else 0."""
+    """Return (N,) 1 for the points on the line through two of them that most agree with, else 0."""
     generator = np.random.default_rng(len(points))
     first = generator.integers(len(points), size=_RANSAC_DRAWS)
     second = (first + generator.integers(1, len(points), size=_RANSAC_DRAWS)) % len(points)
     lines = line_through(points[first], points[second])
     distance = np.abs(points @ lines[:, :2].T + lines[:, 2])
-    # Half way between counting and least squares: a truncated quadratic (MSAC).
+    # A truncated quadratic, between counting and least squares (MSAC).
     cost = np.minimum(distance**2, 1.0).sum(axis=0)
     weights: Float64Array = (distance[:, int(cost.argmin())] < 1.5).astype(np.float64)
     return weights

@@ -1,4 +1,4 @@
-"""Which of the quadrilaterals in the picture is the calibration square."""
+"""Choice of the calibration square among the quadrilaterals of a photo."""
 
 from __future__ import annotations
 
@@ -10,22 +10,28 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float64Array, UInt8Array
-from slamcli.core.camera import projection
-from slamcli.core.camera.projection import Lens
+from slamcli.core.camera.lens import Lens, distort_points, undistort_points
 from slamcli.core.errors import CalibrationError
-from slamcli.stages.square.candidates import find_candidates, quad_area, same_quad
-from slamcli.stages.square.edges import EdgedQuad, inner_radius, refine_quad
+from slamcli.stages.square.candidates import find_candidates, inner_radius, quad_area, same_quad
+from slamcli.stages.square.edges import EdgedQuad, refine_quad
 
-Judge = Callable[[Float64Array], float]
+# How well (4, 2) undistorted corners may be a square on the floor, in [0, 1].
+Squareness = Callable[[Float64Array], float]
 
+# Candidates are searched in a picture of this width.
 _SEARCH_WIDTH_PIXELS = 960
 _MAX_CANDIDATES = 40
+# How far a candidate's sides may be from the edges, in pixels of that picture.
 _REACH_PIXELS = 6.0
+# Share of the edge profiles that must show the sides: saves scoring what the score would reject too
+# (no test depends on its value).
 _MIN_SUPPORT = 0.45
+# Least score of a square [guarded by tests/stages/test_square.py].
 _MIN_SCORE = 0.03
-# A second square that scores this much of the first is worth telling of.
+# A second square that scores this share of the first is reported.
 _RUNNER_UP_SHARE = 0.5
 _MIN_RADIUS_PIXELS = 4.0
+# Beyond these more contrast, or a larger share of the picture, does not raise the score.
 _FULL_CONTRAST_GRAY = 40.0
 _FULL_SHARE = 0.1
 _COLOURED_GRAY_LEVELS = 25.0
@@ -33,14 +39,14 @@ _COLOURED_GRAY_LEVELS = 25.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Square:
-    """A square found in a picture.
+    """Result of the square detection.
 
     Attributes
     ----------
     corners : (4, 2) float64
         Pixels of the picture itself, clockwise from the upper left.
     quad : EdgedQuad
-        The same, undistorted, with what is known of it; its corners are in the same order.
+        The same, undistorted, with its covariance; its corners are in the same order.
     score : float
         In [0, 1]: how well it is seen, how large it is, how plausible it is.
     """
@@ -50,7 +56,7 @@ class Square:
     score: float
 
 
-def find_squares(image: UInt8Array, lens: Lens, judge: Judge) -> tuple[Square, ...]:
+def find_squares(image: UInt8Array, lens: Lens, squareness: Squareness) -> tuple[Square, ...]:
     """Return the square that is best supported, and any other that comes near it, best first.
 
     Parameters
@@ -58,26 +64,26 @@ def find_squares(image: UInt8Array, lens: Lens, judge: Judge) -> tuple[Square, .
     image : (H, W, 3) uint8, BGR
     lens : Lens
         Its distortion, to fit straight sides; the camera matrix may be a guess where that is zero.
-    judge : callable
-        Tells how well undistorted corners may be a square on the floor.
+    squareness : callable
+        How well undistorted corners may be a square on the floor, in [0, 1].
 
     Raises
     ------
     CalibrationError
         When no quadrilateral in the picture can be the square.
     """
-    luminance = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    luminance = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     planes = [luminance]
     if _is_coloured(image):
         # A square of another colour but like luminance shows in at least one of the channels.
         planes += [image[..., 2], image[..., 1], image[..., 0]]
     for plane in planes:
-        found = _squares_in(np.ascontiguousarray(plane), lens, judge)
+        found = _squares_in(np.ascontiguousarray(plane), lens, squareness)
         if found:
             near = [square for square in found if square.score >= _RUNNER_UP_SHARE * found[0].score]
             return tuple(near)
     raise CalibrationError(
-        "no square found on the floor in the photo; give its four corners by "
+        "no square found on the floor in the photo; give its four corners with "
         '--corners "x,y x,y x,y x,y"'
     )
 
@@ -97,17 +103,17 @@ def refine_square(image: UInt8Array, corners: Float64Array, lens: Lens) -> Squar
         When a side shows no edge there.
     """
     luminance = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
-    undistorted = projection.undistort_points(lens, corners)
+    undistorted = undistort_points(lens, corners)
     quad = refine_quad(luminance, undistorted, lens, 4.0)
     if quad is None:
         raise CalibrationError(
-            "the sides between the given corners show no edges to refine them by; "
-            "check --corners, or leave out --refine to use them as they are"
+            "no edges found along the sides between the given corners; check --corners, or leave "
+            "out --refine to use them as they are"
         )
-    return Square(projection.distort_points(lens, quad.corners), quad, quad.support)
+    return Square(distort_points(lens, quad.corners), quad, quad.support)
 
 
-def _squares_in(plane: UInt8Array, lens: Lens, judge: Judge) -> list[Square]:
+def _squares_in(plane: UInt8Array, lens: Lens, squareness: Squareness) -> list[Square]:
     height, width = plane.shape
     shrink = max(1.0, width / _SEARCH_WIDTH_PIXELS)
     small = plane
@@ -118,36 +124,36 @@ def _squares_in(plane: UInt8Array, lens: Lens, judge: Judge) -> list[Square]:
     exact = plane.astype(np.float32)
     found: list[Square] = []
     for quad, support in zip(_enlarge(quads, shrink), supports, strict=True):
-        undistorted = projection.undistort_points(lens, quad)
+        undistorted = undistort_points(lens, quad)
         if support < _MIN_SUPPORT or inner_radius(undistorted) < _MIN_RADIUS_PIXELS:
             continue
         edged = refine_quad(exact, undistorted, lens, _REACH_PIXELS * shrink)
         if edged is None or edged.support < _MIN_SUPPORT:
             continue
-        corners = projection.distort_points(lens, edged.corners)
+        corners = distort_points(lens, edged.corners)
         if np.any(corners < 0) or np.any(corners > (width - 1, height - 1)):
             continue
-        score = _score(edged, width * height, judge)
+        score = _score(edged, width * height, squareness)
         if score >= _MIN_SCORE:
             found.append(_from_upper_left(corners, edged, score))
     return _distinct(found)
 
 
 def _is_coloured(image: UInt8Array) -> bool:
-    """Tell whether some part of the picture, beyond its noise, is not gray."""
+    """Return whether some part of the picture, beyond its noise, is not gray."""
     small = cv2.resize(image, (64, 48), interpolation=cv2.INTER_AREA).astype(np.float64)
     return float(np.ptp(small, axis=2).max()) > _COLOURED_GRAY_LEVELS
 
 
-def _score(quad: EdgedQuad, picture_area: int, judge: Judge) -> float:
-    """Multiply what speaks for a quadrilateral: its sides, contrast, size, and the judge's word.
+def _score(quad: EdgedQuad, picture_area: int, squareness: Squareness) -> float:
+    """Return the product of a quadrilateral's support, contrast, size and squareness, in [0, 1].
 
-    Size counts, as the larger of two squares alike tells more about the camera.
+    Size counts, as the larger of two similar squares determines the camera better.
     """
     share = float(quad_area(quad.corners)) / picture_area
     size = min(1.0, (share / _FULL_SHARE) ** 0.4)
     contrast = min(1.0, abs(quad.contrast) / _FULL_CONTRAST_GRAY)
-    score: float = quad.support**2 * contrast * size * judge(quad.corners)
+    score: float = quad.support**2 * contrast * size * squareness(quad.corners)
     return score
 
 

@@ -378,6 +378,7 @@ def test_ten_metres_of_blank_floor_are_bridged_by_odometry() -> None:
 
 @pytest.fixture(scope="module")
 def drive_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from slamcli.run.session.session import Session
     from slamcli.run.simulate import simulate
 
     folder = tmp_path_factory.mktemp("drive") / "drive"
@@ -389,7 +390,7 @@ def drive_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     way = folder.parent / "way.csv"
     way.write_text("\n".join(["x,y,heading", *rows]) + "\n")
     options = SimulationOptions(path=str(way), camera=CameraOptions(size=(320, 240)))
-    simulate(folder, options, workers=1, overwrite=False, progress=lambda *_: None)
+    simulate(folder, options, overwrite=False, session=Session())
     return folder
 
 

@@ -1,4 +1,4 @@
-"""The thesis's unit-test pairs: the transform within the error its Appendix A is held to."""
+"""The pairs of the thesis's Appendix A: the transform within the error that it reports."""
 
 from __future__ import annotations
 
@@ -55,6 +55,6 @@ def test_the_stand_ins(samples_folder):
     assert len(rows) >= 3
     for row in rows:
         truth = [float(row[key]) for key in ("scale", "rotation_degrees", "x", "y")]
-        # A small, blurred picture is held to less, as the thesis's own is.
+        # A small, blurred picture has a wider limit, as in the thesis.
         tolerances = (0.03, 1.5, 5.0) if truth[0] < 0.9 else (0.005, 0.2, 2.0)
         check(folder, (row["first"], row["second"], *truth, *tolerances))

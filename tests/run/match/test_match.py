@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from types import SimpleNamespace
 
 import cv2
 import floor_pictures
@@ -12,10 +13,12 @@ import pytest
 from click.testing import CliRunner
 
 from slamcli.cli.main import main
+from slamcli.core.config import FeatureOptions, MatchOptions
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import View
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import write_image
+from slamcli.run.match import fitting
 from slamcli.stages import local_correlation
 
 SCALE, DEGREES = 0.8, 25.0
@@ -85,7 +88,7 @@ def test_a_rigid_model_cannot_fit_another_scale(pictures):
     assert "no fit" in result.stdout.splitlines()[-1]
 
 
-def test_strangers_are_told_apart_in_one_line(pictures, tmp_path):
+def test_different_scenes_are_rejected_in_one_line(pictures, tmp_path):
     drawing = tmp_path / "no.png"
     result = run(pictures / "first picture.png", pictures / "other.png", "-o", drawing)
     assert result.exit_code == 1
@@ -96,7 +99,7 @@ def test_strangers_are_told_apart_in_one_line(pictures, tmp_path):
     assert drawing.exists()
 
 
-def test_a_fit_that_the_pixels_contradict_is_not_believed(pictures, monkeypatch):
+def test_a_fit_that_the_pixels_contradict_is_rejected(pictures, monkeypatch):
     for correlation, words in ((0.1, "do not look alike"), (math.nan, "too little to confirm")):
         monkeypatch.setattr(
             local_correlation, "local_correlation", lambda *_, value=correlation: value
@@ -104,6 +107,16 @@ def test_a_fit_that_the_pixels_contradict_is_not_believed(pictures, monkeypatch)
         result = run(pictures / "first picture.png", pictures / "second.png", "--features", "orb")
         assert result.exit_code == 1
         assert words in result.stdout
+
+
+def test_few_inliers_are_accepted_only_where_the_pixels_agree_well(monkeypatch):
+    recipes = fitting.AUTO_RECIPES[:1] * 2
+    for correlation, accepted in ((0.5, False), (0.75, True)):
+        fit = fitting.PairFit(recipes[0], SimpleNamespace(inlier_count=8), (), (), correlation, "")
+        monkeypatch.setattr(fitting, "_fit_by", lambda *_, fit=fit: fit)
+        monkeypatch.setattr(fitting, "_affordable", lambda *_: True)
+        found = fitting.fit_pair(None, None, recipes, FeatureOptions(), MatchOptions())
+        assert (not found.reason) == accepted
 
 
 def test_windows_agree_only_under_the_true_motion():
@@ -147,9 +160,9 @@ def test_calibrated_pictures_in_metres(tmp_path):
     np.testing.assert_allclose(
         facts["second_from_first"], truth.inverse().matrix, atol=1e-3, rtol=0
     )
-    told = run(*arguments, "-o", tmp_path / "match.png").stdout
-    assert "the robot moved x 0.0" in told
-    assert "mm" in told
+    printed = run(*arguments, "-o", tmp_path / "match.png").stdout
+    assert "the robot moved x 0.0" in printed
+    assert "mm" in printed
 
 
 def test_equal_runs_print_equal_bytes(pictures):

@@ -1,4 +1,4 @@
-"""What stands on the floor is marked where it is, and the floor is not."""
+"""Obstacles are marked where they are, and the floor is not."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_line import slam
 
 import slamcli
-from slamcli.cli.main import main
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame
 from slamcli.io.calibrations import save_calibration
@@ -35,7 +34,7 @@ ROCKING = DisturbanceOptions(rocking_degrees=0.1)
 
 @dataclass(frozen=True)
 class Pair:
-    """Two frames of a floor, as pictures, prepared, and where boxes cover their views."""
+    """Two frames of a floor, as images, prepared, and where boxes cover their views."""
 
     images: list
     prepared: list
@@ -45,20 +44,20 @@ class Pair:
 @cache
 def pair_of(kind, boxes, disturbances):
     floor = floors.make_floor(kind, 0.5, 0.001, seed=1)
-    takers = [
+    photographers = [
         photograph.Photographer(photograph.World(floor, here), CALIBRATION) for here in (boxes, ())
     ]
     quiet = DisturbanceOptions(noise_gray=0.0)
     pair = Pair([], [], [])
     for index, pose in enumerate((START, START @ MOTION)):
-        way = (pose, pose)
+        still = (pose, pose)
         generator = np.random.default_rng(index)
-        image = photograph.take(takers[0], way, 0.0, disturbances, generator)
+        image = photograph.take(photographers[0], still, 0.0, disturbances, generator)
         pair.images.append(image)
         pair.prepared.append(MAPPER.prepare(Frame(index, f"{index}", None, image)))
         with_boxes, without = (
-            photograph.take(taker, way, 0.0, quiet, np.random.default_rng(0)).astype(int)
-            for taker in takers
+            photograph.take(photographer, still, 0.0, quiet, np.random.default_rng(0)).astype(int)
+            for photographer in photographers
         )
         differ = np.where(np.any(with_boxes != without, axis=2), np.uint8(255), np.uint8(0))
         whole = cv2.morphologyEx(differ, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
@@ -74,10 +73,10 @@ def obstacles_of(pair, tilt_degrees=0.1):
     )
     assert refined is not None
     warp = refined.view_a_from_view_b
-    return dense.obstacles(first.levels, second.levels, warp, CALIBRATION), warp
+    return dense.find_obstacles(first.levels, second.levels, warp, CALIBRATION), warp
 
 
-def near_things(pair, warp, marks):
+def near_obstacles(pair, warp, marks):
     """Cells at most one away from where a box is shown, in the first view or in the second."""
     grid = pair.prepared[0].view.grid
     first_from_second = grid.pixel_from_metres @ warp @ grid.metres_from_pixel
@@ -97,18 +96,18 @@ def near_things(pair, warp, marks):
 def test_boxes_are_marked_and_the_floor_is_not():
     pair = pair_of("asphalt", BOXES, ROCKING)
     marks, warp = obstacles_of(pair)
-    near = near_things(pair, warp, marks)
+    near = near_obstacles(pair, warp, marks)
     assert np.count_nonzero(marks.unlike) >= 10
     assert np.count_nonzero(marks.unlike & near) >= 0.9 * np.count_nonzero(marks.unlike)
     assert not np.any(marks.unlike & ~marks.judged)
-    # Both boxes, which lie to the left and to the right of the way.
+    # Both boxes, which lie to the left and to the right of the path.
     half = len(near) // 2
     assert np.any(marks.unlike[:half])
     assert np.any(marks.unlike[half:])
 
 
 @pytest.mark.parametrize("kind", ["asphalt", "course"])
-def test_nothing_stands_on_an_empty_floor(kind):
+def test_an_empty_floor_has_no_obstacles(kind):
     rough = DisturbanceOptions(flicker=0.4, vignetting=0.3, rocking_degrees=0.2, noise_gray=4.0)
     marks, _ = obstacles_of(pair_of(kind, (), rough), 0.2)
     assert np.count_nonzero(marks.judged) > 100
@@ -127,19 +126,19 @@ def test_points_are_looked_up_in_their_own_cells():
     assert not blank.marks(points).any()
 
 
-def test_match_draws_what_stands(tmp_path):
+def test_match_draws_obstacles(tmp_path):
     pair = pair_of("asphalt", BOXES, ROCKING)
     for name, image in zip(("a.png", "b.png"), pair.images, strict=True):
         write_image(tmp_path / name, image)
     save_calibration(tmp_path / "calibration.yaml", CALIBRATION)
     drawing = tmp_path / "match.png"
     arguments = ["match", tmp_path / "a.png", tmp_path / "b.png", "-o", drawing]
-    result = CliRunner().invoke(main, [*map(str, arguments), "--json"], catch_exceptions=False)
+    result = slam(*arguments, "--json")
     assert result.exit_code == 0, result.output
     facts = json.loads(result.stdout)
     assert min(facts["obstacles"]["cells"]) >= 10
     assert facts["first_from_second"]["x"] == pytest.approx(MOTION.x, abs=0.004)
-    said = CliRunner().invoke(main, [*map(str, arguments), "--overwrite"])
+    said = slam(*arguments, "--overwrite")
     assert "seems to stand on the floor" in said.stdout
     shown = cv2.imread(str(drawing)).astype(int)
     # The matches' lines are red or green too; the tint alone is pale.

@@ -5,10 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import shutil
-import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -16,17 +13,15 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner, Result
+from command_line import slam
 
-from slamcli.cli.main import main
 from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.core.records import Tile
-from slamcli.io.checkpoints import Checkpoint, run_key
 from slamcli.io.frames import list_frames, read_frame
 from slamcli.io.raster import deepzoom, geotiff, world_file
 from slamcli.io.raster.tile_store import TileStore
-from slamcli.run.paint import frame_cache, thumbnails
-from slamcli.stages.mosaic.sampling import SourceImage
+from slamcli.run.paint import budget, frame_cache, thumbnails
+from slamcli.stages.mosaic.source_image import SourceImage
 
 rasterio = pytest.importorskip("rasterio")
 warp = pytest.importorskip("rasterio.warp")
@@ -35,28 +30,11 @@ EVERYTHING = ("--format", "png,geotiff,deepzoom,nav2", "--layers", "resolution,v
 COARSE = ("--metres-per-pixel", "0.004")
 
 
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
-@pytest.fixture(scope="module")
-def drive(samples_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Five frames of the sample, with their calibration."""
-    folder = tmp_path_factory.mktemp("drive")
-    for index in range(5):
-        shutil.copy(samples_folder / "course" / "frames" / f"{index:04d}.jpg", folder)
-    square = samples_folder / "course" / "square.png"
-    result = run("calibrate", square, "-o", folder / "calibration.yaml")
-    assert result.exit_code == 0, result.output
-    (folder / "calibration.png").unlink()
-    return folder
-
-
 @pytest.fixture(scope="module")
 def written(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     output = tmp_path_factory.mktemp("out") / "map"
     datum = ("--datum", "29.6436,-82.3549,30")
-    result = run("stitch", drive, "-o", output, *EVERYTHING, *COARSE, *datum)
+    result = slam("stitch", drive, "-o", output, *EVERYTHING, *COARSE, *datum)
     assert result.exit_code == 0, result.output
     assert "tiles; about" in result.output
     assert not any(path.name.startswith(".") for path in output.iterdir())
@@ -143,19 +121,19 @@ def test_a_pyramid_of_odd_size_ends_in_one_pixel(tmp_path: Path) -> None:
 
 def load_nav2(folder: Path) -> tuple[np.ndarray, Grid]:
     """Read a map as Nav2's map_server does (trinary): -1 unknown, 0 free, 100 occupied."""
-    told = yaml.safe_load((folder / "nav2.yaml").read_text())
-    data = (folder / told["image"]).read_bytes()
+    description = yaml.safe_load((folder / "nav2.yaml").read_text())
+    data = (folder / description["image"]).read_bytes()
     magic, size, depth, pixels = data.split(b"\n", 3)
     width, height = map(int, size.split())
     assert (magic, depth, len(pixels)) == (b"P5", b"255", width * height)
     gray = np.frombuffer(pixels, np.uint8).reshape(height, width)
     occupancy = (255 - gray.astype(float)) / 255
     cells = np.full(gray.shape, -1)
-    cells[occupancy < told["free_thresh"]] = 0
-    cells[occupancy > told["occupied_thresh"]] = 100
-    x, y, yaw = told["origin"]
+    cells[occupancy < description["free_thresh"]] = 0
+    cells[occupancy > description["occupied_thresh"]] = 100
+    x, y, yaw = description["origin"]
     assert yaw == 0
-    scale = told["resolution"]
+    scale = description["resolution"]
     return cells, Grid(x, y + height * scale, scale, width, height)
 
 
@@ -179,7 +157,7 @@ def test_render_paints_the_same_map_and_others_without_locating(
     moved = tmp_path / "moved"
     shutil.copytree(drive, moved)
     again = tmp_path / "again"
-    result = run("render", written, "--frames", moved, "-o", again, *COARSE)
+    result = slam("render", written, "--frames", moved, "-o", again, *COARSE)
     assert result.exit_code == 0, result.output
     before, after = picture(written).astype(int), picture(again).astype(int)
     assert np.abs(before - after).mean() < 0.05
@@ -193,7 +171,7 @@ def test_render_paints_the_same_map_and_others_without_locating(
         "--format",
         "png,nav2",
     )
-    result = run("render", written / "mosaic.png", "-o", part, *COARSE, *arguments)
+    result = slam("render", written / "mosaic.png", "-o", part, *COARSE, *arguments)
     assert result.exit_code == 0, result.output
     cropped = picture(part)
     assert cropped.shape[:2] == (100, 150)
@@ -212,29 +190,29 @@ def test_render_paints_the_same_map_and_others_without_locating(
 
 
 def test_render_says_what_is_missing(written: Path, tmp_path: Path, drive: Path) -> None:
-    result = run("render", tmp_path, "-o", tmp_path / "out")
+    result = slam("render", tmp_path, "-o", tmp_path / "out")
     assert result.exit_code == 1
-    assert "run.toml" in result.output
+    assert "map.slam" in result.output
     fewer = tmp_path / "fewer"
     fewer.mkdir()
     shutil.copy(drive / "0003.jpg", fewer)
-    result = run("render", written, "--frames", fewer, "-o", tmp_path / "out")
+    result = slam("render", written, "--frames", fewer, "-o", tmp_path / "out")
     assert result.exit_code == 1
     assert "--frames" in result.output
-    result = run("render", written, "--crop", "90,90,91,91", "-o", tmp_path / "out")
+    result = slam("render", written, "--crop", "90,90,91,91", "-o", tmp_path / "out")
     assert result.exit_code == 1
     assert "crop" in result.output
 
 
 def test_too_little_memory_and_too_large_a_png_are_refused(written: Path, tmp_path: Path) -> None:
-    result = run("render", written, "-o", tmp_path / "out", "--memory", "20M")
+    result = slam("render", written, "-o", tmp_path / "out", "--memory", "20M")
     assert result.exit_code == 1
     assert "--memory" in result.output.splitlines()[-1]
-    result = run("render", written, "-o", tmp_path / "out", "--metres-per-pixel", "0.00005")
+    result = slam("render", written, "-o", tmp_path / "out", "--metres-per-pixel", "0.00005")
     assert result.exit_code == 1
     assert "--format geotiff" in result.output.splitlines()[-1]
-    assert run("render", written, "--memory", "much").exit_code == 2
-    assert run("stitch", "x", "--datum", "1,x").exit_code == 2
+    assert slam("render", written, "--memory", "much").exit_code == 2
+    assert slam("stitch", "x", "--datum", "1,x").exit_code == 2
 
 
 def test_pictures_get_what_the_process_leaves_of_the_memory(
@@ -244,18 +222,18 @@ def test_pictures_get_what_the_process_leaves_of_the_memory(
     for megabytes in (0, 60, 190):
         pages = tmp_path / f"{megabytes}"
         pages.write_text(f"9 {megabytes * 1_000_000 // os.sysconf('SC_PAGE_SIZE')} 9")
-        monkeypatch.setattr(frame_cache, "_RESIDENT", pages)
-        held[megabytes] = frame_cache.max_pictures(1_000_000, 200_000_000, 20_000_000, 2)
+        monkeypatch.setattr(budget, "_RESIDENT", pages)
+        held[megabytes] = budget.max_pictures(1_000_000, 200_000_000, 20_000_000, 2)
     assert held[0] == 180
     assert held[60] == pytest.approx(120, abs=1)
     assert 0 < held[190] < 10
-    monkeypatch.setattr(frame_cache, "_RESIDENT", tmp_path / "nowhere")
-    assert frame_cache.max_pictures(1_000_000, 200_000_000, 20_000_000, 2) == 180
+    monkeypatch.setattr(budget, "_RESIDENT", tmp_path / "nowhere")
+    assert budget.max_pictures(1_000_000, 200_000_000, 20_000_000, 2) == 180
 
 
 def test_a_picture_leaves_memory_with_the_last_tile_that_needs_it() -> None:
     needed = [[0, 1, 2], [2, 3], [1, 3, 4]]
-    assert frame_cache.max_at_once(needed) == 3
+    assert budget.max_at_once(needed) == 3
     made: list[int] = []
 
     def make(number: int) -> SourceImage:
@@ -273,7 +251,7 @@ def test_a_picture_leaves_memory_with_the_last_tile_that_needs_it() -> None:
     assert made == [0, 1, 2, 3, 4] * 2
 
 
-def test_a_glimpse_that_was_kept_is_what_reading_the_frame_again_gives(
+def test_a_thumbnail_that_was_kept_is_what_reading_the_frame_again_gives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for index in range(3):
@@ -281,13 +259,13 @@ def test_a_glimpse_that_was_kept_is_what_reading_the_frame_again_gives(
         cv2.imwrite(str(tmp_path / f"{index}.jpg"), noise)
     files = list_frames([tmp_path])
     kept = thumbnails.Thumbnails()
-    small = thumbnails.read_glimpse(files[0])
+    small = thumbnails.read_thumbnail(files[0])
     assert small.shape == (13, 18)
     monkeypatch.setattr(thumbnails, "_MAX_BYTES", 2 * small.nbytes)
     for file in files:
         kept.keep(read_frame(file, gray=True))
     for file in files[:2]:
-        np.testing.assert_array_equal(kept.take(file), thumbnails.read_glimpse(file))
+        np.testing.assert_array_equal(kept.take(file), thumbnails.read_thumbnail(file))
         assert kept.take(file) is None
     assert kept.take(files[2]) is None
     kept.keep(read_frame(files[2], gray=True))
@@ -297,95 +275,10 @@ def test_a_glimpse_that_was_kept_is_what_reading_the_frame_again_gives(
 
 def test_a_missing_library_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rasterio", None)
-    result = run("stitch", Path(__file__).parent, "--format", "geotiff")
+    result = slam("stitch", Path(__file__).parent, "--format", "geotiff")
     assert result.exit_code == 1
     with pytest.raises(Exception, match=r"slamcli\[geotiff\]"):
         geotiff.check_geotiff()
-
-
-def command(drive: Path, output: Path, *more: str) -> list[str]:
-    return [
-        sys.executable,
-        "-m",
-        "slamcli",
-        "stitch",
-        str(drive),
-        "-o",
-        str(output),
-        *COARSE,
-        *more,
-    ]
-
-
-@pytest.mark.parametrize("stage", ["locating 3/5", "painting 2/"])
-def test_a_killed_run_goes_on_to_the_same_bytes(drive: Path, tmp_path: Path, stage: str) -> None:
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    assert run("stitch", drive, "-o", whole, *COARSE).exit_code == 0
-    process = subprocess.Popen(command(drive, cut), stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
-    for line in process.stderr:
-        if line.startswith(stage):
-            break
-    process.kill()
-    process.wait()
-    process.stderr.close()
-    assert not (cut / "poses.csv").exists()
-    result = run("stitch", drive, "-o", cut, "--resume", *COARSE)
-    assert result.exit_code == 0, result.output
-    if stage.startswith("painting"):
-        assert "5 of 5 frames had been located" in result.output
-        assert "locating" not in result.output
-    names = sorted(path.name for path in whole.iterdir())
-    assert names == sorted(path.name for path in cut.iterdir())
-    for name in names:
-        assert (whole / name).read_bytes() == (cut / name).read_bytes(), name
-
-
-def test_ctrl_c_ends_with_what_is_there_and_can_be_gone_on_with(
-    drive: Path, tmp_path: Path
-) -> None:
-    cut = tmp_path / "cut"
-    with subprocess.Popen(
-        command(drive, cut), stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stderr is not None
-        assert process.stdout is not None
-        for line in process.stderr:
-            if line.startswith("locating 2/5"):
-                os.kill(process.pid, signal.SIGINT)
-                break
-        process.stderr.read()
-        told = process.stdout.read()
-    assert process.returncode == 130
-    assert "interrupted" in told
-    rows = (cut / "poses.csv").read_text().splitlines()
-    assert len(rows) == 6
-    assert "not reached: interrupted" in rows[-1]
-    assert picture(cut)[..., 3].any()
-    result = run("stitch", drive, "-o", cut, "--resume", *COARSE)
-    assert result.exit_code == 0, result.output
-    assert "placed       5 (100%)" in result.output
-    assert not (cut / ".resume").exists()
-
-
-def test_a_state_of_another_run_is_not_gone_on_with(tmp_path: Path) -> None:
-    first = run_key("a", [tmp_path])
-    checkpoint = Checkpoint(tmp_path)
-    checkpoint.open(first, resume=False)
-    checkpoint.save({"frames": 3})
-    assert Checkpoint(tmp_path).open(first, resume=True)
-    checkpoint = Checkpoint(tmp_path)
-    assert checkpoint.open(first, resume=True)
-    assert checkpoint.load() == {"frames": 3}
-    assert not Checkpoint(tmp_path).open(run_key("b", [tmp_path]), resume=True)
-    assert not checkpoint.folder.exists()
-
-
-def test_a_state_cannot_bring_foreign_code(tmp_path: Path) -> None:
-    checkpoint = Checkpoint(tmp_path)
-    checkpoint.open("key", resume=False)
-    checkpoint.save(time.sleep)
-    assert checkpoint.load() is None
 
 
 def test_a_store_takes_only_what_was_seen_and_finds_it_again(tmp_path: Path) -> None:
@@ -400,7 +293,7 @@ def test_a_store_takes_only_what_was_seen_and_finds_it_again(tmp_path: Path) -> 
     store.put(-3, 200000, Tile(grid, image, pixels_per_metre, None, views, latest))
     store.put(5, 5, None)
     again = TileStore(tmp_path, side, ("views",))
-    assert again.places() == [(-3, 200000), (0, 0)]
+    assert again.keys() == [(-3, 200000), (0, 0)]
     assert (5, 5) in again
     assert again.seen_pixels() == 2 * 50 * 70
     assert again.bounds() == (10 - 3 * side, 60, 20, 200000 * side + 90)
@@ -414,42 +307,3 @@ def test_a_turned_world_file_maps_pixels_into_the_map(tmp_path: Path) -> None:
     world_file.write_world_file(tmp_path / "m.pgw", grid, turn)
     a, d, b, e, c, f = np.loadtxt(tmp_path / "m.pgw")
     np.testing.assert_allclose((a * 2 + b * 1 + c, d * 2 + e * 1 + f), (-1.25, 2.25), atol=1e-9)
-
-
-def test_a_dry_run_finds_what_is_wrong_and_writes_nothing(drive: Path, tmp_path: Path) -> None:
-    frames = tmp_path / "frames"
-    shutil.copytree(drive, frames)
-    good = cv2.imread(str(frames / "0003.jpg"))
-    cv2.imwrite(str(frames / "1446412345.jpg"), cv2.blur(good, (25, 25)))
-    cv2.imwrite(str(frames / "1446412346.jpg"), good // 12)
-    shutil.copy(frames / "0004.jpg", frames / "1446412346.5.jpg")
-    shutil.copy(frames / "0004.jpg", frames / "1446412346.6.jpg")
-    (frames / "1446412347.jpg").write_bytes(b"")
-    cv2.imwrite(str(frames / "1446412348.png"), np.full_like(good, 255))
-    output = tmp_path / "out"
-    result = run("stitch", frames, "-o", output, "--dry-run")
-    assert result.exit_code == 0, result.output
-    lines = [line for line in result.output.splitlines() if line.startswith("problem")]
-    for kind, name in (
-        ("blurred", "1446412345.jpg"),
-        ("too dark", "1446412346.jpg"),
-        ("same picture", "1446412346.6.jpg"),
-        ("empty", "1446412347.jpg"),
-        ("overexposed", "1446412348.png"),
-    ):
-        assert any(kind in line and name in line for line in lines), (kind, lines)
-    assert not any("0001.jpg" in line for line in lines)
-    assert "overlap" in result.output
-    assert "Mpx" in result.output
-    assert not output.exists()
-    backwards = run(
-        "stitch",
-        frames / "1446412346.5.jpg",
-        drive / "0002.jpg",
-        "--dry-run",
-        "-c",
-        drive / "calibration.yaml",
-        "--frame-rate",
-        "10",
-    )
-    assert "stamp not after" in backwards.output

@@ -6,16 +6,16 @@ import os
 import signal
 from pathlib import Path
 
-import distributed
 import pytest
-from click.testing import CliRunner
+from command_line import slam
 
-from slamcli.cli.main import main
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import InputError
-from slamcli.run.session.executor import ordered
+from slamcli.run.session.session import Session
 from slamcli.run.stitch import stitch
 from slamcli.run.stitch.options import StitchOptions
+
+distributed = pytest.importorskip("distributed")
 
 FRAMES = 6
 
@@ -23,8 +23,8 @@ FRAMES = 6
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("drive") / "drive"
-    told = ["--frames", str(FRAMES), "--size", "320x240", "--length", "0.5"]
-    done = CliRunner().invoke(main, ["simulate", str(folder), *told])
+    arguments = ["--frames", str(FRAMES), "--size", "320x240", "--length", "0.5"]
+    done = slam("simulate", folder, *arguments)
     assert done.exit_code == 0, done.output
     return folder
 
@@ -37,7 +37,7 @@ def test_a_worker_that_dies_changes_no_byte(
             if victim is not None and (stage, done) == ("locating", 2):
                 os.kill(victim, signal.SIGKILL)
 
-        options = StitchOptions(MapperOptions(), workers=2, scheduler=scheduler)
+        options = StitchOptions(MapperOptions())
         # A worker stands elsewhere: relative paths must reach it.
         monkeypatch.chdir(drive)
         report = stitch(
@@ -46,8 +46,7 @@ def test_a_worker_that_dies_changes_no_byte(
             output,
             options,
             overwrite=False,
-            progress=progress,
-            tell=lambda _: None,
+            session=Session(2, scheduler, progress),
         )
         assert report is not None
 
@@ -72,4 +71,4 @@ def test_a_worker_that_dies_changes_no_byte(
 def test_where_no_scheduler_answers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slamcli.run.session.cluster._CONNECT_SECONDS", 0.2)
     with pytest.raises(InputError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
-        list(ordered(abs, [1, 2], 1, "tcp://127.0.0.1:9"))
+        list(Session(1, "tcp://127.0.0.1:9").ordered(abs, [1, 2]))

@@ -5,41 +5,30 @@ from __future__ import annotations
 import math
 import shutil
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_line import slam
 from trajectories import read_poses, read_rows
+from worlds import make_photographer, take
 
 import slamcli
-from slamcli.cli.main import main
 from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import write_image
 from slamcli.io.map_file import load_map, save_map
-from slamcli.simulation import floors, photograph
-from slamcli.simulation.config import CameraOptions, DisturbanceOptions
+from slamcli.simulation import photograph
 
-CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
 FIRST = [Pose2(0.06 * n) for n in range(8)]
 # Across the first lane at another heading, and on over new floor.
 LATER = [Pose2(0.42, -0.2, 1.9) @ Pose2(0.05 * n) for n in range(7)]
 
 
-def photographer(seed: int) -> photograph.Photographer:
-    floor = floors.make_floor("asphalt", 0.0, 0.001, seed=seed)
-    return photograph.Photographer(photograph.World(floor), photograph.make_camera(CAMERA))
-
-
 @pytest.fixture(scope="module")
 def old() -> photograph.Photographer:
-    return photographer(3)
-
-
-def take(camera: photograph.Photographer, pose: Pose2, seed: int) -> np.ndarray:
-    generator = np.random.default_rng(seed)
-    return photograph.take(camera, (pose, pose), 0.0, DisturbanceOptions(), generator)
+    return make_photographer()
 
 
 def errors(estimates: list[slamcli.PoseEstimate], truth: list[Pose2]) -> list[float]:
@@ -79,8 +68,8 @@ def test_a_changed_floor_does_not_wreck_the_map(
     old: photograph.Photographer, first_map: slamcli.FloorMap
 ) -> None:
     """Beyond a line the floor is another one than before; the robot comes back over it."""
-    new = photographer(9)
-    width, height = CAMERA.size
+    new = make_photographer(9)
+    width, height = old.calibration.image_size
     pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 2)
     on_floor = apply_homography(old.calibration.robot_from_image, pixels.astype(np.float64))
     # From known floor on to what has changed, and back to known floor at another place.
@@ -117,20 +106,15 @@ def drives(old: photograph.Photographer, tmp_path_factory: pytest.TempPathFactor
         for number, pose in enumerate(poses):
             write_image(folder / name / f"{number}.png", take(old, pose, seed + number))
     save_calibration(folder / "first" / "calibration.yaml", old.calibration)
-    result = run("stitch", folder / "first", "-o", folder / "out")
-    assert result[0] == 0, result[1]
+    result = slam("stitch", folder / "first", "-o", folder / "out")
+    assert result.exit_code == 0, result.output
     return folder
-
-
-def run(*words: object) -> tuple[int, str]:
-    result = CliRunner().invoke(main, [str(word) for word in words])
-    return result.exit_code, result.output
 
 
 def test_a_later_drive_is_added(drives: Path, tmp_path: Path) -> None:
     output = tmp_path / "both"
-    code, told = run("stitch", drives / "later", "--extend", drives / "out", "-o", output)
-    assert code == 0, told
+    result = slam("stitch", drives / "later", "--extend", drives / "out", "-o", output)
+    assert result.exit_code == 0, result.output
     rows = read_rows(output / "poses.csv")
     assert [row["fragment"] for row in rows] == ["0"] * (len(FIRST) + len(LATER))
     for row, pose in zip(rows, [*FIRST, *LATER], strict=True):
@@ -143,15 +127,15 @@ def test_a_later_drive_is_added(drives: Path, tmp_path: Path) -> None:
     assert world[5] > before[5] + 0.2
     sources = tomllib.loads((output / "run.toml").read_text())["sources"]
     assert [source.rsplit("/", 1)[-1] for source in sources] == ["first", "later"]
-    code, told = run("locate", output, drives / "later" / "6.png", "--json")
-    assert code == 0, told
+    result = slam("locate", output, drives / "later" / "6.png", "--json")
+    assert result.exit_code == 0, result.output
     # And on: what was made so can be painted and gone on with again.
     assert len(load_map(output).estimates) == len(rows)
     assert read_poses(output / "poses.csv")
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["first"], "part of that map already"),
         (["later", "-c", "first/calibration.yaml"], "the map's own camera"),
@@ -160,26 +144,52 @@ def test_a_later_drive_is_added(drives: Path, tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_added_is_refused(
-    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], told: str
+    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], message: str
 ) -> None:
     monkeypatch.chdir(drives)
-    code, output = run("stitch", *words, "--extend", "out", "-o", tmp_path / "no")
-    assert code in {1, 2}
-    assert told in output
+    result = slam("stitch", *words, "--extend", "out", "-o", tmp_path / "no")
+    assert result.exit_code in {1, 2}
+    assert message in result.output
     assert not (tmp_path / "no").exists()
 
 
-def test_frames_that_are_gone_are_told_of(drives: Path, tmp_path: Path) -> None:
+def move_sources(output: Path, *sources: Path) -> None:
+    """Let the map in a folder say that its frames are elsewhere."""
+    save_map(output / "map.slam", replace(load_map(output), sources=sources))
+
+
+def test_frames_that_are_gone_are_named(drives: Path, tmp_path: Path) -> None:
     moved = tmp_path / "moved"
     shutil.copytree(drives, moved)
-    text = (moved / "out" / "run.toml").read_text()
-    (moved / "out" / "run.toml").write_text(text.replace(str(drives), str(moved)))
+    move_sources(moved / "out", moved / "first")
     (moved / "first" / "3.png").unlink()
-    code, output = run("stitch", moved / "later", "--extend", moved / "out", "-o", tmp_path / "no")
-    assert code == 1
-    assert "frame 3 was 3" in output
+    result = slam("stitch", moved / "later", "--extend", moved / "out", "-o", tmp_path / "no")
+    assert result.exit_code == 1
+    assert "frame 3 was 3" in result.output
     shutil.rmtree(moved / "first")
-    code, output = run("stitch", moved / "later", "--extend", moved / "out", "-o", tmp_path / "no")
-    assert code == 1
-    assert "put them back" in output
-    assert output.count("\n") == 1
+    result = slam("stitch", moved / "later", "--extend", moved / "out", "-o", tmp_path / "no")
+    assert result.exit_code == 1
+    assert "put them back" in result.output
+    assert result.output.count("\n") == 1
+
+
+def test_the_map_alone_is_extended(drives: Path, tmp_path: Path) -> None:
+    """Nothing but map.slam is read of the earlier run."""
+    alone = tmp_path / "alone.slam"
+    shutil.copy(drives / "out" / "map.slam", alone)
+    outputs = []
+    for number, finished in enumerate((alone, drives / "out")):
+        output = tmp_path / str(number)
+        result = slam("stitch", drives / "later", "--extend", finished, "-o", output)
+        assert result.exit_code == 0, result.output
+        outputs.append([(output / name).read_bytes() for name in ("poses.csv", "mosaic.png")])
+    assert outputs[0] == outputs[1]
+
+
+def test_a_map_that_does_not_record_its_frames_is_refused(drives: Path, tmp_path: Path) -> None:
+    shutil.copytree(drives / "out", tmp_path / "old")
+    move_sources(tmp_path / "old")
+    result = slam("stitch", drives / "later", "--extend", tmp_path / "old", "-o", tmp_path / "no")
+    assert result.exit_code == 1
+    assert "does not record where its frames are" in result.output
+    assert result.output.count("\n") == 1

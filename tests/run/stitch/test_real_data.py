@@ -8,17 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_line import slam
 from trajectories import read_poses, read_rows
 
-from slamcli.cli.main import main
 from slamcli.io.calibrations import load_calibration
 
 COURSE_CORNERS = "1242,513 1642,513 1890,570 1342,570"
 
 
 def run(*arguments: object) -> str:
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    result = slam(*arguments)
     assert result.exit_code == 0, result.output
     return result.output
 

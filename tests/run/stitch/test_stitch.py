@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner, Result
+from click.testing import Result
+from command_line import slam
 from PIL import Image
 from trajectories import compare, read_poses, read_rows
 
-from slamcli.cli.main import main
 from slamcli.core.geometry import Grid, apply_homography
 
 COLUMNS = (
@@ -23,14 +23,10 @@ COLUMNS = (
 )
 
 
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
 @pytest.fixture(scope="module")
 def calibration(samples_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("calibration") / "calibration.yaml"
-    result = run("calibrate", samples_folder / "course" / "square.png", "-o", path)
+    result = slam("calibrate", samples_folder / "course" / "square.png", "-o", path)
     assert result.exit_code == 0, result.output
     return path
 
@@ -40,7 +36,7 @@ def course_map(
     samples_folder: Path, calibration: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
     output = tmp_path_factory.mktemp("map") / "out"
-    result = run("stitch", samples_folder / "course", "-c", calibration, "-o", output)
+    result = slam("stitch", samples_folder / "course", "-c", calibration, "-o", output)
     assert result.exit_code == 0, result.output
     assert "placed       40 (100%)" in result.output
     return output
@@ -92,17 +88,17 @@ def test_the_mosaic_is_the_floor_at_its_place(course_map: Path, samples_folder: 
 
 def test_a_run_tells_what_it_did(course_map: Path) -> None:
     assert (course_map / "poses.csv").read_text().splitlines()[0] == COLUMNS
-    told = tomllib.loads((course_map / "run.toml").read_text())
-    assert told["counts"] == {
+    recorded = tomllib.loads((course_map / "run.toml").read_text())
+    assert recorded["counts"] == {
         "frames": 40,
         "placed": 40,
         "predicted": 0,
         "lost": 0,
         "fragments": 1,
-        "links": told["counts"]["links"],
+        "links": recorded["counts"]["links"],
         "switched_off": 0,
     }
-    assert told["options"]["mapper"]["matching"]["model"] == "rigid"
+    assert recorded["options"]["mapper"]["matching"]["model"] == "rigid"
     assert cv2.imread(str(course_map / "trajectory.png")) is not None
     assert not (course_map / "matches").exists()
     assert sorted(p.name for p in course_map.iterdir()) == [
@@ -129,7 +125,7 @@ def test_the_bytes_are_the_same_for_any_number_of_workers(
     outputs = []
     for number in (workers, 1):
         outputs.append(tmp_path / f"out{number}{len(outputs)}")
-        result = run("stitch", few_frames, "-o", outputs[-1], "--workers", number)
+        result = slam("stitch", few_frames, "-o", outputs[-1], "--workers", number)
         assert result.exit_code == 0, result.output
     for name in ("poses.csv", "mosaic.png", "mosaic.yaml", "trajectory.png"):
         assert (outputs[0] / name).read_bytes() == (outputs[1] / name).read_bytes(), name
@@ -141,7 +137,7 @@ def test_the_bytes_are_the_same_for_any_number_of_workers(
 
 
 def test_debug_draws_every_comparison(few_frames: Path, tmp_path: Path) -> None:
-    assert run("stitch", few_frames, "-o", tmp_path / "out", "--debug").exit_code == 0
+    assert slam("stitch", few_frames, "-o", tmp_path / "out", "--debug").exit_code == 0
     drawings = list((tmp_path / "out" / "matches").glob("*.png"))
     assert {path.name[:4] for path in drawings} == {"0001", "0002", "0003"}
 
@@ -183,7 +179,7 @@ def test_bad_frames_become_rows_with_reasons_and_the_run_goes_on(
     cv2.imwrite(str(few_frames / "0002c_alpha.png"), np.dstack([good, np.full_like(gray, 255)]))
     Image.fromarray(good[..., ::-1]).convert("CMYK").save(few_frames / "0002d_cmyk.jpg", quality=95)
     shutil.copy(few_frames / "0003.jpg", few_frames / "0003a again ä.jpg")
-    result = run("stitch", few_frames, "-o", tmp_path / "out")
+    result = slam("stitch", few_frames, "-o", tmp_path / "out")
     assert result.exit_code == 0, result.output
     rows = {row["frame"]: row for row in read_rows(tmp_path / "out" / "poses.csv")}
     assert len(rows) == 4 + len(reasons) + 5
@@ -211,47 +207,47 @@ def test_bad_input_is_one_line_and_leaves_nothing(few_frames: Path, tmp_path: Pa
     output = tmp_path / "out"
     empty = tmp_path / "empty"
     empty.mkdir()
-    refused(run("stitch", empty, "-o", output), "no images")
-    refused(run("stitch", tmp_path / "absent", "-o", output), "does not exist")
-    refused(run("stitch", few_frames, "-c", tmp_path / "no.yaml", "-o", output), "no.yaml")
+    refused(slam("stitch", empty, "-o", output), "no images")
+    refused(slam("stitch", tmp_path / "absent", "-o", output), "does not exist")
+    refused(slam("stitch", few_frames, "-c", tmp_path / "no.yaml", "-o", output), "no.yaml")
     (empty / "0.jpg").write_bytes(b"")
-    refused(run("stitch", empty, "-o", output), "none of the 1 frames", "0.jpg")
+    refused(slam("stitch", empty, "-o", output), "none of the 1 frames", "0.jpg")
     assert not output.exists()
     output.write_text("a file")
-    refused(run("stitch", few_frames, "-o", output), "it is a file")
-    refused(run("stitch", few_frames, "-o", output / "below"), "cannot write")
+    refused(slam("stitch", few_frames, "-o", output), "it is a file")
+    refused(slam("stitch", few_frames, "-o", output / "below"), "cannot write")
 
 
 def test_a_calibration_of_another_size_is_refused(few_frames: Path, tmp_path: Path) -> None:
     for path in few_frames.glob("*.jpg"):
         cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), (320, 240)))
-    result = run("stitch", few_frames, "-o", tmp_path / "out")
+    result = slam("stitch", few_frames, "-o", tmp_path / "out")
     refused(result, "640x480", "320x240", "calibration.yaml")
 
 
 def test_a_map_is_not_overwritten_unless_told(few_frames: Path, tmp_path: Path) -> None:
     output = tmp_path / "out"
-    assert run("stitch", few_frames, "-o", output).exit_code == 0
+    assert slam("stitch", few_frames, "-o", output).exit_code == 0
     before = (output / "poses.csv").read_bytes()
     (few_frames / "0003.jpg").unlink()
-    refused(run("stitch", few_frames, "-o", output), "--overwrite")
+    refused(slam("stitch", few_frames, "-o", output), "--overwrite")
     assert (output / "poses.csv").read_bytes() == before
-    assert run("stitch", few_frames, "-o", output, "--overwrite").exit_code == 0
+    assert slam("stitch", few_frames, "-o", output, "--overwrite").exit_code == 0
     assert (output / "poses.csv").read_bytes() != before
 
 
 def test_the_default_output_stands_beside_the_frames(few_frames: Path) -> None:
-    assert run("stitch", few_frames).exit_code == 0
+    assert slam("stitch", few_frames).exit_code == 0
     assert (few_frames.parent / "frames_mosaic" / "mosaic.png").is_file()
 
 
 def test_usage_errors_exit_2() -> None:
-    assert run("stitch").exit_code == 2
-    assert run("stitch", "x", "--workers", "0").exit_code == 2
+    assert slam("stitch").exit_code == 2
+    assert slam("stitch", "x", "--workers", "0").exit_code == 2
 
 
 def test_a_mosaic_too_large_is_refused_with_what_fits(few_frames: Path, tmp_path: Path) -> None:
-    result = run("stitch", few_frames, "-o", tmp_path / "out", "--metres-per-pixel", "0.00001")
+    result = slam("stitch", few_frames, "-o", tmp_path / "out", "--metres-per-pixel", "0.00001")
     refused_line = result.output.strip().splitlines()[-1]
     assert result.exit_code == 1
     assert "--metres-per-pixel" in refused_line
@@ -267,7 +263,7 @@ def test_frames_without_a_calibration_are_top_down_in_pixels(tmp_path: Path) -> 
     for index, (column, row) in enumerate([(0, 0), (60, 20), (120, 50), (180, 40)]):
         window = picture[row : row + 400, column : column + 480]
         cv2.imwrite(str(folder / f"view {index}.png"), window)
-    result = run("stitch", folder, "-o", tmp_path / "out")
+    result = slam("stitch", folder, "-o", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert "pixel units" in result.output
     poses = list(read_poses(tmp_path / "out" / "poses.csv").values())
@@ -278,7 +274,7 @@ def test_frames_without_a_calibration_are_top_down_in_pixels(tmp_path: Path) -> 
 
 
 def test_warp_writes_metric_pictures(few_frames: Path, tmp_path: Path) -> None:
-    result = run("warp", few_frames, "-o", tmp_path / "views", "--metres-per-pixel", "0.002")
+    result = slam("warp", few_frames, "-o", tmp_path / "views", "--metres-per-pixel", "0.002")
     assert result.exit_code == 0, result.output
     view = cv2.imread(str(tmp_path / "views" / "0000.png"), cv2.IMREAD_UNCHANGED)
     world = np.loadtxt(tmp_path / "views" / "0000.pgw")
@@ -286,4 +282,4 @@ def test_warp_writes_metric_pictures(few_frames: Path, tmp_path: Path) -> None:
     assert view[0, 0, 3] == 0
     assert (view[..., 3] == 255).mean() > 0.3
     assert world[4] == pytest.approx(0.16, abs=0.01)
-    refused(run("warp", few_frames, "-o", tmp_path / "views"), "--overwrite")
+    refused(slam("warp", few_frames, "-o", tmp_path / "views"), "--overwrite")

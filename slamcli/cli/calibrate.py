@@ -1,0 +1,104 @@
+"""`slam calibrate`."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from slamcli.cli.options import common
+from slamcli.cli.options.fields import filled, option, stacked
+from slamcli.cli.options.values import PATH, Numbers
+
+_target = partial(option, "CalibrateOptions")
+
+_target_options = stacked(
+    click.option(
+        "--side",
+        type=float,
+        default=0.3048,
+        show_default=True,
+        help="Metres: side of the square or the marker, or of one field of the chessboard.",
+    ),
+    _target(
+        "corners",
+        "--corners",
+        Numbers("x,y x,y x,y x,y", 2, groups=4),
+        "The square's corners in pixels, in any order. Default: the square is detected.",
+    ),
+    click.option(
+        "--refine",
+        is_flag=True,
+        help="With --corners: move them to the edges nearby. With -c: self-calibration, which "
+        "refines that calibration by the frames of a drive, given in place of photos.",
+    ),
+    common.calibration,
+    _target(
+        "chessboard",
+        "--chessboard",
+        Numbers("8x6", 2, separator="x", min_whole=3),
+        "Use a chessboard instead, of this number of inner corners along both sides.",
+    ),
+    _target(
+        "marker", "--aruco", text="Use an ArUco marker instead, of this dictionary, such as 4x4_50."
+    ),
+    _target(
+        "intrinsics_path",
+        "--intrinsics",
+        PATH,
+        "The lens (camera matrix and distortion): a ROS camera_info YAML.",
+    ),
+)
+
+
+@click.command()
+@click.argument("photos", nargs=-1, required=True, type=PATH)
+@_target_options
+@common.max_range
+@common.output(
+    "The calibration (.yaml, or a folder); its check picture goes beside it.",
+    default="calibration.yaml",
+)
+@common.workers
+@common.overwrite
+def calibrate(
+    photos: tuple[Path, ...],
+    side: float,
+    refine: bool,
+    calibration: Path | None,
+    max_range: float | None,
+    output: Path,
+    workers: int | None,
+    overwrite: bool,
+    **flags: Any,
+) -> None:
+    """Calibrate the camera from photos of a square on the floor.
+
+    PHOTOS are image files; of several, the best calibration is chosen and all are compared. The
+    result is the camera's focal length, height, pitch and roll. Or refine a calibration by the
+    frames of a drive: --refine FRAMES -c CALIBRATION.
+    """
+    from slamcli.run.calibrate import CalibrateOptions
+    from slamcli.run.calibrate import calibrate as run_calibrate
+
+    if calibration is not None and not refine:
+        raise click.UsageError("-c is for --refine, which refines a calibration by frames")
+    if refine and (calibration is not None or any(photo.is_dir() for photo in photos)):
+        from slamcli.cli.progress import open_session
+        from slamcli.run.calibrate.self_calibration import calibrate_by_frames
+
+        with open_session(workers) as session:
+            lines = calibrate_by_frames(
+                photos,
+                calibration,
+                output,
+                max_range,
+                overwrite=overwrite,
+                session=session,
+            )
+    else:
+        start = CalibrateOptions(side, refine=refine, max_range_metres=max_range)
+        lines = run_calibrate(photos, output, filled(start, flags), overwrite=overwrite)
+    click.echo("\n".join(lines))

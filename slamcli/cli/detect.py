@@ -1,0 +1,52 @@
+"""`slam detect`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from slamcli.cli.options import common
+from slamcli.cli.options.features import feature_details, feature_kind
+from slamcli.cli.options.fields import filled
+from slamcli.core.config import FeatureOptions, NetworkFiles
+
+
+@click.command()
+@common.frames
+@common.calibration
+@common.output(
+    "Folder of the drawings and of features.csv. Default: the frames' folder with _features added."
+)
+@feature_kind(FeatureOptions())
+@feature_details
+@common.workers
+@common.overwrite
+def detect(
+    frames: tuple[Path, ...],
+    calibration: Path | None,
+    output: Path | None,
+    workers: int | None,
+    overwrite: bool,
+    **flags: Any,
+) -> None:
+    """Draw the feature points found in frames.
+
+    FRAMES is a folder or image files. The drawings also show what is left out by --clean
+    and --roi, and features.csv lists all points.
+    """
+    from slamcli.cli.progress import open_session
+    from slamcli.run.detect import detect as run_detect
+
+    with open_session(workers) as session:
+        lines = run_detect(
+            frames,
+            calibration,
+            output or common.default_output(frames[0], "features"),
+            filled(FeatureOptions(), flags),
+            filled(NetworkFiles(), flags),
+            overwrite=overwrite,
+            session=session,
+        )
+    click.echo("\n".join(lines))

@@ -1,0 +1,50 @@
+"""`slam locate`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from slamcli.cli.options import common
+from slamcli.cli.options.values import PATH
+
+
+@click.command()
+@click.argument("floor_map", metavar="MAP", type=PATH)
+@common.frames
+@common.output("CSV file for the poses, in the form of poses.csv.")
+@common.json_output
+@click.option("--strict", is_flag=True, help="Exit 3 when any frame is lost.")
+@common.workers
+@common.overwrite
+def locate(
+    floor_map: Path,
+    frames: tuple[Path, ...],
+    output: Path | None,
+    as_json: bool,
+    strict: bool,
+    workers: int | None,
+    overwrite: bool,
+) -> None:
+    """Find where frames lie in a finished map (relocalisation).
+
+    MAP is a folder that `slam stitch` wrote, or the map.slam in it. Each frame is located by
+    itself, without those before it. The exit code is 1 when none of
+    them lies in the map, 3 when most do not.
+    """
+    from slamcli.cli.progress import open_session
+    from slamcli.run.locate import locate as run_locate
+
+    with open_session(workers) as session:
+        report = run_locate(
+            floor_map,
+            frames,
+            output,
+            overwrite=overwrite,
+            strict=strict,
+            session=session,
+        )
+    click.echo(report.json if as_json else "\n".join(report.lines))
+    sys.exit(report.exit_code)

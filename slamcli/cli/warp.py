@@ -1,0 +1,50 @@
+"""`slam warp`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from slamcli.cli.options import common
+from slamcli.cli.options.fields import filled
+from slamcli.core.config import PaintOptions
+
+
+@click.command()
+@common.frames
+@common.calibration
+@common.output("Folder of the views. Default: the frames' folder with _birdseye added.")
+@common.metres_per_pixel
+@common.max_range
+@common.workers
+@common.overwrite
+def warp(
+    frames: tuple[Path, ...],
+    calibration: Path | None,
+    output: Path | None,
+    max_range: float | None,
+    workers: int | None,
+    overwrite: bool,
+    **flags: Any,
+) -> None:
+    """Warp frames to metric bird's-eye views.
+
+    FRAMES is a folder or image files. Each becomes a PNG with a world file (inverse perspective
+    mapping), transparent where no floor is seen.
+    """
+    from slamcli.cli.progress import open_session
+    from slamcli.run.warp import warp as run_warp
+
+    with open_session(workers) as session:
+        lines = run_warp(
+            frames,
+            calibration,
+            output or common.default_output(frames[0], "birdseye"),
+            metres_per_pixel=filled(PaintOptions(), flags).metres_per_pixel,
+            max_range_metres=max_range,
+            overwrite=overwrite,
+            session=session,
+        )
+    click.echo("\n".join(lines))

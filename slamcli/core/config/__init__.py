@@ -1,0 +1,35 @@
+"""Options of all stages, with their defaults; the command line and run.toml use the same fields."""
+
+from slamcli.core.config.mapping import MapperOptions
+from slamcli.core.config.products import (
+    Blend,
+    Datum,
+    Layer,
+    MapFormat,
+    PaintOptions,
+    ProductOptions,
+)
+from slamcli.core.config.registration import (
+    FeatureMethod,
+    FeatureOptions,
+    MatchFilter,
+    MatchOptions,
+    NetworkFiles,
+    TransformModel,
+)
+
+__all__ = [
+    "Blend",
+    "Datum",
+    "FeatureMethod",
+    "FeatureOptions",
+    "Layer",
+    "MapFormat",
+    "MapperOptions",
+    "MatchFilter",
+    "MatchOptions",
+    "NetworkFiles",
+    "PaintOptions",
+    "ProductOptions",
+    "TransformModel",
+]

@@ -1,0 +1,233 @@
+"""The formats that a painted map is written in, each from its store of tiles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from slamcli.core.arrays import GenericArray, UInt8Array, UInt16Array
+from slamcli.core.camera.calibration import Unit
+from slamcli.core.config import Layer, ProductOptions
+from slamcli.core.errors import InputError
+from slamcli.core.geometry import Grid, Pose2
+from slamcli.io.files import write_image
+from slamcli.io.raster import deepzoom, geotiff, png, world_file
+from slamcli.io.raster.tile_store import StoredTile, TileStore, put_part
+from slamcli.run.session.session import Session
+from slamcli.stages.mosaic import obstacles, tiles
+
+# Layers of a PNG are 16 bits deep; a resolution is given in micrometres.
+_MAX_GRAY = 65535
+_KINDS = {"resolution": ("float32", 0.0), "views": ("uint16", None), "last-frame": ("int32", -1.0)}
+_MAX_NAV_FACTOR = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapToWrite:
+    """A painted map, and where and how it is written.
+
+    Attributes
+    ----------
+    folder : Path
+    suffix : str
+        After each file's stem: empty for the first map, ``_1`` for the next.
+    store : TileStore
+    grid : Grid
+        The part of it that is written.
+    unit : str
+    map_from_painted : Pose2
+    options : ProductOptions
+    session : Session
+        Of this machine, which has the tiles.
+    """
+
+    folder: Path
+    suffix: str
+    store: TileStore
+    grid: Grid
+    unit: Unit
+    map_from_painted: Pose2
+    options: ProductOptions
+    session: Session
+
+    def path(self, stem: str, ending: str) -> Path:
+        """Return where one output of this map is written."""
+        return self.folder / f"{stem}{self.suffix}{ending}"
+
+
+def _write_png(output: MapToWrite) -> None:
+    path = output.path("mosaic", ".png")
+    _write_strips(output, path, _floor_strip)
+    world_file.write_nav2_map(
+        output.path("mosaic", ".yaml"), path.name, output.grid, output.unit, output.map_from_painted
+    )
+    if output.store.has_obstacles():
+        _write_strips(output, output.path("obstacles", ".png"), _obstacle_strip)
+    for name in output.options.layers:
+        pixels = np.zeros((output.grid.height, output.grid.width), np.uint16)
+        for row, column, tile in output.store.tiles(output.grid):
+            put_part(pixels, _deep_gray(name, tile.layers[name]), row, column)
+        write_image(output.path(name, ".png"), pixels)  # type: ignore[arg-type]
+        world_file.write_world_file(output.path(name, ".pgw"), output.grid, output.map_from_painted)
+
+
+def _write_strips(
+    output: MapToWrite, path: Path, strip: Callable[[TileStore, Grid], png.Strip]
+) -> None:
+    """Write a PNG strip by strip, so that its pixels are never in memory at once."""
+    grid, side = output.grid, tiles.TILE_PIXELS
+    # Cut where tiles end, so that none is read twice.
+    first = side - round(-grid.y_max / grid.metres_per_pixel) % side
+    starts = [0, *range(first, grid.height, side)]
+    ends = [*starts[1:], grid.height]
+    parts = [
+        grid.window(0, start, grid.width, end - start)
+        for start, end in zip(starts, ends, strict=True)
+    ]
+    work = partial(strip, output.store)
+    png.write_png(path, grid.width, grid.height, output.session.ordered(work, parts))
+    world_file.write_world_file(path.with_suffix(".pgw"), grid, output.map_from_painted)
+
+
+def _floor_strip(store: TileStore, grid: Grid) -> png.Strip:
+    return png.compress(world_file.transparent(*store.flatten(grid)))
+
+
+def _obstacle_strip(store: TileStore, grid: Grid) -> png.Strip:
+    layer = np.zeros((grid.height, grid.width, 4), np.uint8)
+    for row, column, tile in store.tiles(grid):
+        if tile.obstacles is not None:
+            put_part(layer, tile.obstacles, row, column)
+    return png.compress(layer)
+
+
+def _write_geotiff(output: MapToWrite) -> None:
+    shape = (output.grid.height, output.grid.width)
+    transform = output.map_from_painted.matrix @ output.grid.metres_from_corner
+    datum = output.options.datum
+    if datum is not None:
+        transform = Pose2(0.0, 0.0, datum.east_heading_radians).matrix @ transform
+
+    def write(
+        stem: str,
+        bands: int,
+        kind: str,
+        pixels: Callable[[StoredTile], GenericArray | None],
+        nodata: float | None,
+    ) -> None:
+        layout = geotiff.RasterLayout(shape, bands, kind, transform, datum, nodata)
+        geotiff.write_geotiff(output.path(stem, ".tif"), layout, _blocks(output, pixels))
+
+    write("mosaic", 4, "uint8", lambda tile: world_file.transparent(tile.image, tile.mask), None)
+    if output.store.has_obstacles():
+        write("obstacles", 4, "uint8", lambda tile: tile.obstacles, None)
+    for name in output.options.layers:
+        kind, nodata = _KINDS[name]
+        write(name, 1, kind, lambda tile, name=name: tile.layers[name], nodata)  # type: ignore[misc]
+
+
+def _write_deep_zoom(output: MapToWrite) -> None:
+    grid = output.grid
+    side = tiles.TILE_PIXELS
+    aligned = whole_tiles(grid)
+    margin = (
+        round((aligned.y_max - grid.y_max) / grid.metres_per_pixel),
+        round((grid.x_min - aligned.x_min) / grid.metres_per_pixel),
+    )
+
+    def cut() -> Iterator[tuple[int, int, UInt8Array]]:
+        for row, column, tile in output.store.tiles(aligned):
+            pixels = world_file.transparent(tile.image, tile.mask)
+            if output.options.crop is not None:
+                outside = np.ones(pixels.shape[:2], np.bool_)
+                inside = np.zeros((grid.height, grid.width), np.bool_)
+                put_part(outside, inside, margin[0] - row, margin[1] - column)
+                pixels[outside] = 0
+            yield row // side, column // side, pixels
+
+    name = f"mosaic{output.suffix}"
+    deepzoom.write_deep_zoom(output.folder, name, (aligned.width, aligned.height), side, cut())
+
+
+def _write_nav2(output: MapToWrite) -> None:
+    """Write free, occupied and unknown at a planner's resolution."""
+    scale = output.grid.metres_per_pixel
+    factor = 1
+    max_scale = output.options.nav_metres_per_pixel * (1 + 1e-9)
+    while scale * factor * 2 <= max_scale and factor < _MAX_NAV_FACTOR:
+        factor *= 2
+    grid = whole_tiles(output.grid)
+    gray = _occupancy(output, grid, factor)
+    seen = cv2.findNonZero((gray != world_file.UNKNOWN_GRAY).astype(np.uint8))
+    left, top, width, height = cv2.boundingRect(seen)
+    small = Grid(grid.x_min, grid.y_max, scale * factor, gray.shape[1], gray.shape[0])
+    path = output.path("nav2", ".pgm")
+    world_file.write_pgm(path, gray[top : top + height, left : left + width])
+    world_file.write_nav2_map(
+        output.path("nav2", ".yaml"),
+        path.name,
+        small.window(left, top, width, height),
+        output.unit,
+        output.map_from_painted,
+    )
+
+
+def _occupancy(output: MapToWrite, grid: Grid, factor: int) -> UInt8Array:
+    """Return (h, w) gray levels of Nav2, each for factor x factor pixels of whole tiles."""
+    image, mask = output.store.overview(grid, factor)
+    gray = np.where(mask > 0, np.uint8(world_file.FREE_GRAY), np.uint8(world_file.UNKNOWN_GRAY))
+    if output.options.nav_lines:
+        lines = obstacles.line_cells(image, mask, grid.metres_per_pixel * factor)
+        gray[lines] = world_file.OCCUPIED_GRAY
+        return gray
+    for row, column, tile in output.store.tiles(grid):
+        if tile.obstacles is not None:
+            occupied = obstacles.obstacle_cells(tile.obstacles, factor)
+            part = gray[row // factor :, column // factor :]
+            part[: occupied.shape[0], : occupied.shape[1]][occupied] = world_file.OCCUPIED_GRAY
+    return gray
+
+
+def _blocks(
+    output: MapToWrite, pixels: Callable[[StoredTile], GenericArray | None]
+) -> Iterator[tuple[int, int, GenericArray]]:
+    for row, column, tile in output.store.tiles(output.grid):
+        part = pixels(tile)
+        if part is not None:
+            yield row, column, part
+
+
+def _deep_gray(layer: Layer, values: GenericArray) -> UInt16Array:
+    """Return a layer as 16-bit gray: micrometres, views, or the frame's index plus 1."""
+    if layer == "resolution":
+        whole = np.rint(values.astype(np.float64) * 1e6)
+    else:
+        whole = values.astype(np.float64) + (1 if layer == "last-frame" else 0)
+    if whole.max(initial=0) > _MAX_GRAY:
+        raise InputError(f"the layer {layer} does not fit into a PNG; use --format geotiff")
+    return whole.astype(np.uint16)
+
+
+def whole_tiles(grid: Grid) -> Grid:
+    """Return the grid of whole tiles around another."""
+    side = tiles.TILE_PIXELS
+    left, top = (
+        round(grid.x_min / grid.metres_per_pixel),
+        round(-grid.y_max / grid.metres_per_pixel),
+    )
+    before, above = left % side, top % side
+    width, height = -(-(grid.width + before) // side), -(-(grid.height + above) // side)
+    return grid.window(-before, -above, width * side, height * side)
+
+
+FORMATS: dict[str, Callable[[MapToWrite], None]] = {
+    "png": _write_png,
+    "geotiff": _write_geotiff,
+    "deepzoom": _write_deep_zoom,
+    "nav2": _write_nav2,
+}

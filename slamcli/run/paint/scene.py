@@ -1,0 +1,94 @@
+"""Scenes: the connected parts of a map, each with its frames in the axes that it is painted in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.mounting import rocked
+from slamcli.core.config import Datum
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import PosedFrame, PoseEstimate
+from slamcli.io.frames import FrameFile
+from slamcli.mapping.backend.pose_graph import placed_fragments
+from slamcli.run.paint.thumbnails import Thumbnails
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """One fragment's frames, in the axes that it is painted in: the map's, turned.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        Common to the frames.
+    files : tuple of FrameFile
+        Of the tracked frames. What a predicted one shows was of no use to place it.
+    shots : tuple of PosedFrame
+        Poses of the same frames, ``painted_from_robot``.
+    estimates : tuple of PoseEstimate
+        Of all placed frames, ``painted_from_robot``.
+    map_from_painted : Pose2
+    datum : Datum or None
+        Where the map's origin lies on Earth, as far as measured.
+    thumbnails : Thumbnails
+        Of the frames decoded before.
+    """
+
+    calibration: Calibration
+    files: tuple[FrameFile, ...]
+    shots: tuple[PosedFrame, ...]
+    estimates: tuple[PoseEstimate, ...]
+    map_from_painted: Pose2
+    datum: Datum | None
+    thumbnails: Thumbnails
+
+
+def scenes_of(
+    calibration: Calibration,
+    estimates: Sequence[PoseEstimate],
+    file_of: Callable[[PoseEstimate], FrameFile],
+    turn_radians: float,
+    datums: Mapping[int, Datum] | None = None,
+    thumbnails: Thumbnails | None = None,
+) -> list[Scene]:
+    """Return one scene for every fragment, in the fragments' order.
+
+    Parameters
+    ----------
+    datums : mapping of int to Datum or None
+        Of the fragments whose place on Earth was measured.
+    """
+    painted_from_map = Pose2(0.0, 0.0, turn_radians)
+    scenes = []
+    for fragment, members in placed_fragments(estimates).items():
+        turned = tuple(_turned(one, painted_from_map) for one in members)
+        tracked = [one for one in turned if one.status == "tracked"]
+        shots = tuple(
+            PosedFrame(
+                one.index,
+                one.map_from_robot,
+                calibration if one.rocking is None else rocked(calibration, one.rocking),
+            )
+            for one in tracked
+            if one.map_from_robot is not None
+        )
+        scenes.append(
+            Scene(
+                calibration,
+                tuple(file_of(one) for one in tracked),
+                shots,
+                turned,
+                painted_from_map.inverse(),
+                (datums or {}).get(fragment),
+                thumbnails or Thumbnails(),
+            )
+        )
+    return scenes
+
+
+def _turned(estimate: PoseEstimate, painted_from_map: Pose2) -> PoseEstimate:
+    if estimate.map_from_robot is None or painted_from_map.theta == 0.0:
+        return estimate
+    return replace(estimate, map_from_robot=painted_from_map @ estimate.map_from_robot)

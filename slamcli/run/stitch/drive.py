@@ -1,0 +1,157 @@
+"""A drive to be stitched: opened with its camera and readings, then with every frame located."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import MapperOptions
+from slamcli.core.errors import InputError
+from slamcli.core.records import PoseEstimate
+from slamcli.mapping.mapper import Mapper
+from slamcli.run.inputs import Inputs, open_inputs
+from slamcli.run.networks import with_match_network, with_point_network
+from slamcli.run.paint import outputs
+from slamcli.run.paint.thumbnails import Thumbnails
+from slamcli.run.session.session import Session
+from slamcli.run.stitch import exports
+from slamcli.run.stitch.extend import open_extension
+from slamcli.run.stitch.options import StitchOptions
+from slamcli.run.telemetry import Telemetry, TelemetryFiles, feed, read_telemetry
+from slamcli.selfcal import RegisteredDrive, SelfCalibration
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """What is stitched.
+
+    Attributes
+    ----------
+    sources : tuple of Path
+        Folders and files of the frames; with `--extend` those of the finished map first.
+    inputs : Inputs
+    telemetry_files : TelemetryFiles
+    telemetry : Telemetry
+        Their readings.
+    options : StitchOptions
+        With `--extend`, features and scale are those of the finished map.
+    mapper : Mapper
+        New: no frame has passed through it yet. With `--extend` it has the finished map's frames.
+    """
+
+    sources: tuple[Path, ...]
+    inputs: Inputs
+    telemetry_files: TelemetryFiles
+    telemetry: Telemetry
+    options: StitchOptions
+    mapper: Mapper
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocatedDrive:
+    """A drive whose frames have a pose, or the reason why they have none.
+
+    Attributes
+    ----------
+    drive : Drive
+    mapper : Mapper
+        After the last frame.
+    registered : RegisteredDrive
+        Camera, poses and links; refined by the self-calibration if there was one.
+    thumbnails : Thumbnails
+        Of the frames decoded on the way.
+    time_offset : str
+        A line on the sensors' clock against the frames'; empty when it was not to be found.
+    self_calibration : SelfCalibration or None
+    """
+
+    drive: Drive
+    mapper: Mapper
+    registered: RegisteredDrive
+    thumbnails: Thumbnails
+    time_offset: str
+    self_calibration: SelfCalibration | None = None
+
+    @property
+    def calibration(self) -> Calibration:
+        """The camera that the poses are for."""
+        return self.registered.calibration
+
+    @property
+    def estimates(self) -> list[PoseEstimate]:
+        """One estimate for every frame, also for those that an interrupted run did not reach."""
+        reason = "not reached: interrupted"
+        left = self.drive.inputs.files[len(self.mapper.estimates) :]
+        return [
+            *self.registered.estimates,
+            *(PoseEstimate(f.index, f.name, f.stamp, None, "lost", reason) for f in left),
+        ]
+
+
+def open_drive(
+    sources: Sequence[Path],
+    calibration_path: Path | None,
+    options: StitchOptions,
+    telemetry_files: TelemetryFiles,
+    session: Session,
+) -> Drive:
+    """Open all that a stitch reads, and refuse what could not be done or written later.
+
+    Raises
+    ------
+    InputError, CalibrationError, MapError
+    """
+    extension = None
+    if options.extend is None:
+        inputs = open_inputs(
+            sources, calibration_path, options.frame_rate, options.max_range_metres
+        )
+    else:
+        _check_extension(options, calibration_path, telemetry_files)
+        extension = open_extension(options.extend, sources, options.frame_rate)
+        inputs, sources = extension.inputs, extension.sources
+        options = replace(options, mapper=extension.options(options.mapper))
+    if session.scheduler:
+        # The cluster's workers run in folders of their own.
+        absolute = [replace(file, path=file.path.resolve()) for file in inputs.files]
+        inputs = replace(inputs, files=absolute)
+    telemetry = read_telemetry(telemetry_files, inputs)
+    exports.check_exports(options.export, inputs.files, has_gps=bool(telemetry.gps))
+    outputs.check_formats(options.products)
+    if options.self_calibrate and telemetry_files.any:
+        raise InputError(
+            "--self-calibrate works by the frames alone; refine the camera first "
+            "(slam calibrate --refine), then give what comes of it with the other sensors"
+        )
+    mapper = Mapper(inputs.calibration, _with_networks(options), options.telemetry)
+    if extension is not None:
+        mapper.extend(extension.floor_map)
+    if not telemetry.find_time_offset:
+        feed(mapper, telemetry)
+    return Drive(tuple(sources), inputs, telemetry_files, telemetry, options, mapper)
+
+
+def _check_extension(
+    options: StitchOptions, calibration_path: Path | None, telemetry_files: TelemetryFiles
+) -> None:
+    """Refuse what a finished map cannot be extended with."""
+    if calibration_path is not None or options.max_range_metres is not None:
+        raise InputError("--extend takes the map's own camera; leave out -c and --max-range")
+    if options.self_calibrate or telemetry_files.any:
+        raise InputError(
+            "--extend works by the frames alone, with the camera as it is; leave out "
+            "--self-calibrate, --odometry, --compass and --gps, or stitch both drives anew"
+        )
+
+
+def _with_networks(options: StitchOptions) -> MapperOptions:
+    """Return the mapper's options with the networks of its features and matching loaded."""
+    mapper, files = options.mapper, options.networks
+    method = mapper.features.method
+    return replace(
+        mapper,
+        features=with_point_network(mapper.features, files, method),
+        matching=with_match_network(mapper.matching, files, method),
+    )

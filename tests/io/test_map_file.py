@@ -1,0 +1,122 @@
+"""map.slam: what versions 2 and 3 have, and what is refused; forged files are in test_localizer."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from floor_pictures import forward_camera
+
+from slamcli.core.config import FeatureOptions
+from slamcli.core.errors import MapError
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import Features, FloorMap, Keyframe, Link, PoseEstimate
+from slamcli.io.map_file import load_map, save_map
+
+
+class Network:
+    """Stands for a learned method's network, which no file can have."""
+
+    size = (64, 64)
+
+
+def example() -> FloorMap:
+    generator = np.random.default_rng(0)
+    floats = generator.random((5, 4)).astype(np.float32) + np.float32(0.1)
+    features = Features(
+        floats[:, :2],
+        generator.integers(0, 256, (5, 32), np.uint8),
+        floats[:, 2],
+        floats[:, 2:],
+        floats[:, 3],
+        floats[:, 0],
+    )
+    estimates = (
+        PoseEstimate(0, "ä 0.png", 1.5, Pose2(), "tracked", "", 0, np.eye(3) * 1e-6, 9, 0.5),
+        PoseEstimate(1, "1.png", None, None, "lost", "too dark"),
+    )
+    keyframe = Keyframe(0, "ä 0.png", 1.5, features, b"image", b"mask")
+    sources = (Path("/drives/first"), Path("/drives/ä/7.png"))
+    return FloorMap(
+        forward_camera(), FeatureOptions(), 0.001, 0.2, (keyframe,), estimates, (), sources
+    )
+
+
+def edited(path: Path, change: Any, version: int = 3) -> Path:
+    """Write a map's file again with another header and version, and a checksum that is right."""
+    data = path.read_bytes()
+    start = data.index(b"\n") + 1 + 32
+    length = int.from_bytes(data[start : start + 8], "little")
+    header = json.loads(data[start + 8 : start + 8 + length])
+    change(header)
+    text = json.dumps(header, sort_keys=True).encode()
+    body = len(text).to_bytes(8, "little") + text + data[start + 8 + length :]
+    first_line = f"slamcli map {version}\n".encode()
+    path.write_bytes(first_line + hashlib.sha256(body).digest() + body)
+    return path
+
+
+def as_version_2(path: Path) -> Path:
+    """Turn a map's file into what was written before sources were recorded."""
+    return edited(path, lambda header: header.pop("sources"), version=2)
+
+
+def test_a_map_comes_back_with_its_sources(tmp_path: Path) -> None:
+    path = tmp_path / "map.slam"
+    link = Link(0, 1, Pose2(0.1), np.eye(3) * 1e-6, 20, 0.9, "step")
+    save_map(path, replace(example(), links=(link,)))
+    read = load_map(tmp_path)
+    assert read.sources == example().sources
+    assert [e.name for e in read.estimates] == ["ä 0.png", "1.png"]
+    assert read.estimates[1].reason == "too dark"
+    assert read.links[0].a_from_b == Pose2(0.1)
+    assert read.keyframes[0].image == b"image"
+    np.testing.assert_array_equal(
+        read.keyframes[0].features.descriptors, example().keyframes[0].features.descriptors
+    )
+    save_map(tmp_path / "again.slam", read)
+    assert (tmp_path / "again.slam").read_bytes() == path.read_bytes()
+
+
+def test_a_map_of_version_2_loads_without_sources(tmp_path: Path) -> None:
+    path = tmp_path / "map.slam"
+    save_map(path, example())
+    read = load_map(as_version_2(path))
+    assert read.sources == ()
+    assert len(read.keyframes) == 1
+    assert read.calibration.height_metres == 0.3
+
+
+def test_a_map_of_learned_features_can_be_rendered_but_not_located_in(tmp_path: Path) -> None:
+    path = tmp_path / "map.slam"
+    options = FeatureOptions(method="aliked", network=Network())  # type: ignore[arg-type]
+    save_map(path, replace(example(), features=options))
+    read = load_map(path, for_locating=False)
+    assert (read.keyframes, read.features.method) == ((), "aliked")
+    assert read.estimates[0].map_from_robot == Pose2()
+    with pytest.raises(MapError, match="ALIKED features") as caught:
+        load_map(path)
+    assert "\n" not in str(caught.value)
+    save_map(tmp_path / "again.slam", read)
+    assert (tmp_path / "again.slam").read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("sources", ["/drives", ["", "/a"], [1], ["a\0b"], ["a" * 40_000], None])
+def test_sources_that_are_no_paths_are_refused(tmp_path: Path, sources: object) -> None:
+    path = tmp_path / "map.slam"
+    save_map(path, example())
+    with pytest.raises(MapError, match="sources"):
+        load_map(edited(path, lambda header: header.update(sources=sources)))
+
+
+def test_a_calibration_that_is_no_camera_is_refused_with_the_file_named(tmp_path: Path) -> None:
+    path = tmp_path / "map.slam"
+    save_map(path, example())
+    forged = edited(path, lambda header: header["calibration"].update(height_metres=0.4))
+    with pytest.raises(MapError, match=r"map\.slam: its robot_from_image does not agree"):
+        load_map(forged)
