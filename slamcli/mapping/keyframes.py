@@ -100,7 +100,7 @@ def _expand(
 def _stencils(grid: Grid, encoded: bytes) -> tuple[dense.LevelMask, ...]:
     """Return the stencils of a keyframe's mask; none when it cannot be used."""
     mask = _decode(encoded, grid)
-    return () if mask is None else dense.stencils_from_half(mask)
+    return () if mask is None else dense.level_masks_from_half(mask)
 
 
 def _decode(encoded: bytes, grid: Grid) -> UInt8Array | None:

@@ -69,7 +69,7 @@ class Mapper:
         if self.options.dense:
             far = view.make_far_resampler(calibration, self.metres_per_pixel)
             self._resamplers += [] if far is None else [far]
-        self._stencils = [dense.make_stencils(resampler.mask) for resampler in self._resamplers]
+        self._stencils = [dense.make_level_masks(resampler.mask) for resampler in self._resamplers]
         self._graph = Backend(Sensors(telemetry))
         self._loops = LoopCloser(calibration, self.options, self.grid)
         self._keyframes: list[PreparedFrame] = []
