@@ -174,6 +174,14 @@ def test_pixels_do_not_outvote_enough_features(
         assert result.reason.startswith("the pixels support another motion")
 
 
+def test_features_back_no_motion_that_contradicts_theirs(votes: Callable[[bool], None]) -> None:
+    features = fit_of(HERE, evidence=10.0)
+    dissimilar = fit_of(ELSEWHERE, correlation=0.4, confirmed=0.4)
+    result = chosen(context_of(36), dissimilar, by_features=features)
+    assert result.fit is dissimilar
+    assert result.reason.startswith("the views are too dissimilar")
+
+
 @pytest.mark.parametrize(("step", "linked"), [(0.05, True), (0.049, False)])
 def test_no_motion_is_farther_than_a_step(step: float, linked: bool) -> None:
     options = MapperOptions(max_step_metres=step)
@@ -221,12 +229,16 @@ def test_a_floor_that_repeats_makes_a_motion_ambiguous(
     votes(preferred)
     monkeypatch.setattr(hypotheses, "periodic_alternatives", lambda *given: [alternative])
     options, repeats = MapperOptions(max_step_metres=step), np.array([[0.3, 0.0]])
-    reason = context_of(options=options, repeats=repeats).check_period(PAIR, fit_of(HERE))
+    context = context_of(options=options, repeats=repeats)
+    reason = context.check_period(PAIR, fit_of(HERE))
     assert reason.startswith("ambiguous: the floor repeats") is ambiguous
     assert bool(reason) is ambiguous
+    result = chosen(context, fit_of(HERE))
+    assert (result.link is None) is ambiguous
+    assert result.reason == (f"{reason} (to frame 3)" if ambiguous else "")
     assert context_of(options=options).check_period(PAIR, fit_of(HERE)) == ""
     far = PyramidPair(PAIR.a, PAIR.b, far=True)
-    assert context_of(options=options, repeats=repeats).check_period(far, fit_of(HERE)) == ""
+    assert context.check_period(far, fit_of(HERE)) == ""
 
 
 def test_a_period_along_the_open_direction_is_no_ambiguity(

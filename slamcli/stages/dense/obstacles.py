@@ -148,16 +148,16 @@ def _compare(
     both = ((seen == 255) & (a.inside == 255)).astype(np.float32)
     first, reach = a.detail * both, _SHIFT_PIXELS
     framed = np.pad(moved * both, reach)
-    least = np.full(first.shape, np.inf, np.float32)
-    difference_at_best = least.copy()
+    min_share = np.full(first.shape, np.inf, np.float32)
+    min_difference = min_share.copy()
     height, width = first.shape
     for down in range(2 * reach + 1):
         for right in range(2 * reach + 1):
             second = framed[down : down + height, right : right + width]
             energy = _mean(first * first) + _mean(second * second)
             difference = _mean((first - second) ** 2)
-            least = np.minimum(least, difference / np.maximum(energy, np.float32(1e-6)))
-            difference_at_best = np.minimum(difference_at_best, difference)
+            min_share = np.minimum(min_share, difference / np.maximum(energy, np.float32(1e-6)))
+            min_difference = np.minimum(min_difference, difference)
     whole = _mean(both) > np.float32(0.999)
     dark = np.asarray(
         cv2.warpPerspective(b.image, b_pixel_from_a_pixel, size, flags=flags), np.uint8
@@ -165,9 +165,7 @@ def _compare(
     gains = _mean(pyramid.noise_gain(a.image) ** 2), _mean(pyramid.noise_gain(dark) ** 2)
     # Most of what both see is floor, where the difference is noise.
     noise = (
-        float(np.median((difference_at_best / (gains[0] + gains[1]))[whole]))
-        if whole.any()
-        else 0.0
+        float(np.median((min_difference / (gains[0] + gains[1]))[whole])) if whole.any() else 0.0
     )
     informative = np.zeros_like(whole)
     for shown, gain in ((first, gains[0]), (moved * both, gains[1])):
@@ -175,7 +173,7 @@ def _compare(
             _MIN_NOISE_VARIANCES * noise * gain, np.float32(_MIN_DEVIATION_GRAY**2)
         )
         informative |= _variance(shown) > min_shown
-    return np.asarray(whole & informative), least
+    return np.asarray(whole & informative), min_share
 
 
 def _variance(values: Float32Array) -> Float32Array:
