@@ -171,8 +171,8 @@ def measure(calibration: Calibration, files: list[FrameFile], scale: float) -> l
 
     tilt = math.radians(options.tilt_sigma_degrees)
     poses = [fit.pose or Pose2(STEP_METRES) for fit in fits]
-    stencils = dense.make_stencils(resampler.mask)
-    make = median_milliseconds(lambda i: dense.make_levels(views[i], stencils), count)
+    level_masks = dense.make_level_masks(resampler.mask)
+    make = median_milliseconds(lambda i: dense.make_levels(views[i], level_masks), count)
     levels = [dense.make_levels(one) for one in views]
     agree = median_milliseconds(
         lambda i: dense.agreement(levels[i][0], levels[i + 1][0], poses[i].matrix), count - 1

@@ -61,8 +61,10 @@ class KeyframeCache:
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
-        stencils = lru_cache(maxsize=_MAX_MASKS)(partial(_stencils, grid))
-        self._decoded = lru_cache(maxsize=_MAX_DECODED)(partial(_decode_keyframe, grid, stencils))
+        level_masks = lru_cache(maxsize=_MAX_MASKS)(partial(_level_masks, grid))
+        self._decoded = lru_cache(maxsize=_MAX_DECODED)(
+            partial(_decode_keyframe, grid, level_masks)
+        )
 
     def __reduce__(self) -> tuple[type[KeyframeCache], tuple[Grid]]:
         return KeyframeCache, (self.grid,)
@@ -136,12 +138,12 @@ class KeyframeDatabase:
 
 
 def _decode_keyframe(
-    grid: Grid, stencils_of: Callable[[bytes], Sequence[dense.LevelMask]], keyframe: Keyframe
+    grid: Grid, masks_of: Callable[[bytes], Sequence[dense.LevelMask]], keyframe: Keyframe
 ) -> PreparedFrame:
-    image, stencils = _decode_image(keyframe.image, grid), stencils_of(keyframe.mask)
-    if image is None or not stencils:
+    image, level_masks = _decode_image(keyframe.image, grid), masks_of(keyframe.mask)
+    if image is None or not level_masks:
         raise FrameError(f"keyframe {keyframe.name}: its images cannot be used")
-    levels = dense.levels_from_half(image, stencils, grid)
+    levels = dense.levels_from_half(image, level_masks, grid)
     features = keyframe.features
     if features.norm == "l2":
         features = replace(features, descriptors=features.descriptors.astype(np.float32))
@@ -156,10 +158,10 @@ def _decode_keyframe(
     )
 
 
-def _stencils(grid: Grid, encoded: bytes) -> tuple[dense.LevelMask, ...]:
+def _level_masks(grid: Grid, encoded: bytes) -> tuple[dense.LevelMask, ...]:
     """Return the level masks of a keyframe's mask; none when it cannot be used."""
     mask = _decode_image(encoded, grid)
-    return () if mask is None else dense.stencils_from_half(mask)
+    return () if mask is None else dense.level_masks_from_half(mask)
 
 
 def _decode_image(encoded: bytes, grid: Grid) -> UInt8Array | None:

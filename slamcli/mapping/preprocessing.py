@@ -35,7 +35,7 @@ class Preprocessor:
         if options.dense:
             far = view.make_far_resampler(calibration, self.metres_per_pixel)
             self._resamplers += [] if far is None else [far]
-        self._masks = [dense.make_stencils(resampler.mask) for resampler in self._resamplers]
+        self._masks = [dense.make_level_masks(resampler.mask) for resampler in self._resamplers]
 
     @property
     def grid(self) -> Grid:

@@ -1,9 +1,10 @@
-"""One frame against one keyframe: what fits, and whether the pixels let it be believed.
+"""Registration of a frame against a keyframe: its motion, or why none is accepted.
 
-Features come first. When they are few, badly spread, or the pixels do not confirm their fit, every
-motion within reach is searched on the pixels themselves, and one is believed when it explains them
-clearly better than any other. What lies beyond the range of the features, smeared as it is, is
-asked last: it holds the motion where the near floor is bare, plain or hardly shared.
+1. Features: their motion is refined on the pixels and accepted when it is convincing.
+2. Pixels: otherwise the motion is refined near a guess, or every motion within a window is
+   searched, and one is accepted when it explains the pixels clearly better than any other.
+3. Far view: where the near floor is bare, plain or hardly shared, the search is repeated beyond
+   the range of the features, where the view is smeared.
 """
 
 from __future__ import annotations
@@ -15,14 +16,16 @@ from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import PreparedFrame
 from slamcli.registration import acceptance, hypotheses, refinement
-from slamcli.registration.refinement import MotionHypothesis, PyramidPair
-from slamcli.registration.selection import PairContext, RegistrationResult
+from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair
+from slamcli.registration.result import INCONCLUSIVE, RegistrationResult, Verdict
+from slamcli.registration.selection import PairContext
 from slamcli.stages import align, dense
 
-__all__ = ["RegistrationResult", "compare"]
+__all__ = ["RegistrationResult", "register"]
 
-# How far from a guess matches are looked for, as a share of how far the camera sees.
-_SEARCH_SHARE_OF_RANGE = 0.1
+# How far from a guess matches are looked for, as a share of how far the camera sees
+# [guarded by benchmarks/robustness.py: plain chains lose tiles to matches from afar].
+_MATCH_RADIUS_SHARE_OF_RANGE = 0.1
 
 
 def register(
@@ -35,77 +38,42 @@ def register(
     window: dense.SearchWindow | None = None,
     expected: Pose2 | None = None,
 ) -> RegistrationResult:
-    """Align a frame to a keyframe and check the fit by the pixels before it is believed.
+    """Align a frame to a keyframe, and accept the motion if features and pixels support it.
 
     Parameters
     ----------
     keyframe, prepared : PreparedFrame
         Both with features and levels.
     guess : Pose2 or None
-        ``keyframe_from_prepared`` as expected; matches are looked for near it alone.
+        ``keyframe_from_prepared`` as expected; matches are looked for only near it, and the pixels
+        are refined from it.
+    calibration : Calibration
+    options : MapperOptions
     window : SearchWindow or None
-        Where the pixels are searched when the features do not convince; nowhere when it is None.
-        Given a guess they are asked about that alone.
+        Given no guess: where the pixels are searched when the features are not convincing; None
+        searches nowhere.
     expected : Pose2 or None
-        Where the frame may be as well as anywhere, given no guess: near it matches are looked for
-        first, which is much less work, and everywhere unless those convince.
+        Given no guess: where matches are looked for first, which is much less work; everywhere
+        when those are not convincing. It is no evidence for a motion.
     """
     near = PyramidPair(keyframe.levels, prepared.levels)
     searched_metres = 0.0 if window is None or guess is not None else window.radius_metres
     if expected is not None and guess is None and not len(prepared.repeats):
-        case = _match(keyframe, prepared, expected, calibration, options, searched_metres)
-        if (trial := _believed(case, near)) is not None:
-            return trial
-    case = _match(keyframe, prepared, guess, calibration, options, searched_metres)
-    alignment = case.alignment
-    ask_pixels = options.dense and not (window is None and guess is None)
-    if not ask_pixels and options.dense and not acceptance.enough_inliers(alignment, options):
-        return case.trial(None, alignment.reason or acceptance.too_few_inliers(alignment, options))
-    by_features = _refined(case, near)
-    if by_features is not None:
-        rejection = _doubt(case, near, by_features)
-        if rejection is not None and not (rejection and ask_pixels):
-            return case.trial(by_features, rejection)
-        if by_features.pose.translation_length > case.max_displacement_metres:
-            by_features = None
-    if not ask_pixels:
-        return case.trial(
-            by_features, alignment.reason or acceptance.too_few_inliers(alignment, options)
-        )
+        context = _match(keyframe, prepared, expected, calibration, options, searched_metres)
+        if (result := _accept_many_features(context, near)) is not None:
+            return result
+    context = _match(keyframe, prepared, guess, calibration, options, searched_metres)
+    if not options.dense or (window is None and guess is None):
+        return _register_by_features(context, near)
+    by_features = _refine_features(context, near)
+    verdict = _verdict_on_features(context, near, by_features)
+    if verdict.outcome == "accepted":
+        return context.result(by_features, verdict)
+    by_features = _within_reach(context, by_features)
     if guess is not None:
-        fits = []
-        if by_features is None or not refinement.converges_to(near, guess, by_features):
-            fit = refinement.refine_hypothesis(near, guess, None, calibration, options)
-            fits = [] if fit is None else [fit]
-        return case.choose(near, fits, by_features, None)
+        return _register_near_guess(context, near, by_features, guess)
     assert window is not None
-    return _searched(
-        case,
-        near,
-        by_features,
-        replace(window, max_displacement_metres=case.max_displacement_metres),
-    )
-
-
-def _searched(
-    case: PairContext,
-    near: PyramidPair,
-    by_features: MotionHypothesis | None,
-    window: dense.SearchWindow,
-) -> RegistrationResult:
-    """Return the trial of what the pixels show within a window, near the robot or farther off."""
-    keyframe, prepared = case.keyframe, case.prepared
-    found, fits = hypotheses.search(near, window, case.calibration, case.options)
-    trial = case.choose(near, fits, by_features, found)
-    if trial.link is not None or not (keyframe.far_levels and prepared.far_levels):
-        return trial
-    far = PyramidPair(keyframe.far_levels, prepared.far_levels, far=True)
-    _, fits = hypotheses.search(far, window, case.calibration, case.options)
-    near_fits = [
-        refinement.refine_on_near_view(near, fit, case.calibration, case.options) for fit in fits
-    ]
-    second = case.choose(far, near_fits, None, found)
-    return trial if second.link is None else second
+    return _register_in_window(context, near, by_features, window)
 
 
 def _match(
@@ -116,39 +84,106 @@ def _match(
     options: MapperOptions,
     searched_metres: float,
 ) -> PairContext:
-    """Return what the features say, matched near a guess if there is one."""
+    """Return two frames with the alignment of their features, near a guess if there is one."""
     assert keyframe.features is not None
     assert prepared.features is not None
     matching = replace(
         options.matching,
         model="rigid",
-        search_radius=_SEARCH_SHARE_OF_RANGE * calibration.max_range_metres,
+        search_radius=_MATCH_RADIUS_SHARE_OF_RANGE * calibration.max_range_metres,
     )
     alignment = align.align(keyframe.features, prepared.features, matching, guess)
     return PairContext(keyframe, prepared, alignment, calibration, options, searched_metres)
 
 
-def _refined(case: PairContext, near: PyramidPair) -> MotionHypothesis | None:
-    """Return the features' motion refined on the pixels; None when they tell none."""
-    alignment = case.alignment
+def _refine_features(context: PairContext, near: PyramidPair) -> MotionHypothesis | None:
+    """Return the features' motion refined on the pixels; None when they determine none."""
+    alignment = context.alignment
     if alignment.pose is None or alignment.covariance is None or alignment.reason:
         return None
     return refinement.refine_hypothesis(
-        near, alignment.pose, alignment.covariance, case.calibration, case.options
+        near, alignment.pose, alignment.covariance, context.calibration, context.options
     )
 
 
-def _believed(case: PairContext, near: PyramidPair) -> RegistrationResult | None:
-    """Return the trial of a motion that many features tell and nothing speaks against, or None."""
-    fit = _refined(case, near) if acceptance.enough_inliers(case.alignment, case.options) else None
-    return case.trial(fit, "") if fit is not None and _doubt(case, near, fit) == "" else None
+def _verdict_on_features(
+    context: PairContext, near: PyramidPair, fit: MotionHypothesis | None
+) -> Verdict:
+    """Return the verdict on the features' motion: inconclusive where they are not convincing."""
+    options = context.options
+    if fit is None:
+        return INCONCLUSIVE
+    if options.dense and not acceptance.convincing(context.alignment, fit, options):
+        return INCONCLUSIVE
+    return Verdict.of(
+        acceptance.check_plausible(
+            fit, context.max_displacement_metres, options, beside_features=options.dense
+        )
+        or context.check_period(near, fit)
+    )
 
 
-def _doubt(case: PairContext, near: PyramidPair, fit: MotionHypothesis) -> str | None:
-    """Return why the features' motion is not believed, or nothing; None: it does not convince."""
-    options = case.options
-    if options.dense and not acceptance.convincing(case.alignment, fit, options):
+def _within_reach(context: PairContext, fit: MotionHypothesis | None) -> MotionHypothesis | None:
+    """Return the features' motion unless it is farther than the robot may have moved."""
+    if fit is None or fit.pose.translation_length > context.max_displacement_metres:
         return None
-    return acceptance.check_plausible(
-        fit, case.max_displacement_metres, options, beside_features=options.dense
-    ) or case.check_period(near, fit)
+    return fit
+
+
+def _accept_many_features(context: PairContext, near: PyramidPair) -> RegistrationResult | None:
+    """Return the result of a motion that many features support; None where it is not accepted."""
+    if not acceptance.enough_inliers(context.alignment, context.options):
+        return None
+    fit = _refine_features(context, near)
+    verdict = _verdict_on_features(context, near, fit)
+    return context.result(fit, verdict) if verdict.outcome == "accepted" else None
+
+
+def _register_by_features(context: PairContext, near: PyramidPair) -> RegistrationResult:
+    """Return the result of the features' motion, without a search of the pixels."""
+    alignment, options = context.alignment, context.options
+    too_few = Verdict.of(alignment.reason or acceptance.too_few_inliers(alignment, options))
+    if options.dense and not acceptance.enough_inliers(alignment, options):
+        return context.result(None, too_few)
+    fit = _refine_features(context, near)
+    verdict = _verdict_on_features(context, near, fit)
+    if verdict.outcome == "inconclusive":
+        return context.result(_within_reach(context, fit), too_few)
+    return context.result(fit, verdict)
+
+
+def _register_near_guess(
+    context: PairContext,
+    near: PyramidPair,
+    by_features: MotionHypothesis | None,
+    guess: Pose2,
+) -> RegistrationResult:
+    """Return the result of the guess refined on the pixels, or of the features' motion."""
+    fits = []
+    if by_features is None or not refinement.converges_to(near, guess, by_features):
+        fit = refinement.refine_hypothesis(near, guess, None, context.calibration, context.options)
+        fits = [] if fit is None else [fit]
+    return context.choose(near, fits, by_features, None)
+
+
+def _register_in_window(
+    context: PairContext,
+    near: PyramidPair,
+    by_features: MotionHypothesis | None,
+    window: dense.SearchWindow,
+) -> RegistrationResult:
+    """Return the result of a search of the near pixels or, where that gives no link, the far."""
+    keyframe, prepared = context.keyframe, context.prepared
+    window = replace(window, max_displacement_metres=context.max_displacement_metres)
+    found, fits = hypotheses.search(near, window, context.calibration, context.options)
+    result = context.choose(near, fits, by_features, found)
+    if result.link is not None or not (keyframe.far_levels and prepared.far_levels):
+        return result
+    far = PyramidPair(keyframe.far_levels, prepared.far_levels, far=True)
+    _, far_fits = hypotheses.search(far, window, context.calibration, context.options)
+    fits = [
+        refinement.refine_on_near_view(near, fit, context.calibration, context.options)
+        for fit in far_fits
+    ]
+    far_result = context.choose(far, fits, None, found)
+    return result if far_result.link is None else far_result

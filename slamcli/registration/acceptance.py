@@ -1,60 +1,76 @@
-"""Whether a motion is to be believed; each function returns why not, or nothing."""
+"""Acceptance gates for a measured motion; each returns the reason for rejection, or ""."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from slamcli.core.config import MapperOptions
 from slamcli.core.records import FeatureAlignment
 from slamcli.registration import hypotheses
-from slamcli.registration.refinement import MotionHypothesis, PyramidPair
+from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair
 
-# So many times the inliers that are needed stand in for pixels that look little alike, or that
-# leave a direction open.
-_BACKING = 3
-# A narrow strip of the floor fits elsewhere too, or with another turn.
-_MIN_DENSE_OVERLAP = 0.2
-# Where so many of the telling patches agree, what disagrees stands on the floor; where features
-# without number agree too, as many as must in any case are enough.
-_CONFIRMED = 0.5
-_MIN_CONFIRMED = 0.35
-# On a bare floor most of the patches that tell may show legs; those that agree with what many
-# features say are no accident then.
-_MIN_BACKED = 0.1
-# On a floor with too few patches to vote, the little that there is must agree by so much better
-# where the camera's noise hides whether the rest does.
-_FEW_PATCHES_HANDICAP = 0.4
+
+@dataclass(frozen=True, slots=True)
+class AcceptanceThresholds:
+    """Fixed thresholds of the gates; those that users may set are in `MapperOptions`."""
+
+    # This many times the required inliers count for more than pixels that are dissimilar, or that
+    # leave a direction open [guarded by benchmarks/robustness.py: legs and rocking].
+    backing_inliers_factor: int = 3
+    # Of what a search found: a narrow strip of floor fits elsewhere too, or with another turn
+    # [guarded by benchmarks/robustness.py: low-overlap].
+    min_searched_overlap: float = 0.2
+    # Share of the informative patches that must agree with any fit, and the share that replaces a
+    # low correlation: the patches that disagree then show obstacles
+    # [guarded by benchmarks/robustness.py: legs].
+    min_confirmed: float = 0.35
+    min_confirmed_alone: float = 0.5
+    # On a bare floor most of the informative patches may show obstacles; where many features back
+    # the fit, patches that agree with it are no coincidence
+    # [guarded by benchmarks/robustness.py: legs on bare].
+    min_confirmed_backed: float = 0.1
+    # Where too few patches are informative, the correlation counts only as far as that of the
+    # coarsest level, which noise does not lower, or less this
+    # [guarded by benchmarks/robustness.py: bare, textureless-course].
+    few_patches_handicap: float = 0.4
+
+
+THRESHOLDS = AcceptanceThresholds()
 
 
 def convincing(alignment: FeatureAlignment, fit: MotionHypothesis, options: MapperOptions) -> bool:
-    """Return whether features and pixels together leave no reason to look for another motion."""
+    """Return whether features and pixels together make a search for another motion needless."""
     return enough_inliers(alignment, options) and (
-        fit.agreed.correlation >= options.convincing_score or fit.agreed.confirmed >= _MIN_CONFIRMED
+        fit.agreement.correlation >= options.convincing_score
+        or fit.agreement.confirmed >= THRESHOLDS.min_confirmed
     )
 
 
 def enough_inliers(alignment: FeatureAlignment, options: MapperOptions) -> bool:
-    """Return whether so many features agree that they could convince."""
+    """Return whether enough features agree to be convincing."""
     return alignment.inlier_count >= options.convincing_inliers
 
 
 def backed_by_features(alignment: FeatureAlignment, options: MapperOptions) -> bool:
-    """Return whether enough features agree to back what the pixels say."""
-    return alignment.inlier_count >= _BACKING * options.matching.min_inliers
+    """Return whether enough features agree to back what the pixels show."""
+    required = THRESHOLDS.backing_inliers_factor * options.matching.min_inliers
+    return alignment.inlier_count >= required
 
 
 def too_few_inliers(alignment: FeatureAlignment, options: MapperOptions) -> str:
-    """Return why features alone are not believed."""
-    return (
-        f"{alignment.inlier_count} inliers do not convince; "
-        f"{options.convincing_inliers} do where the pixels agree"
-    )
+    """Return why features alone are not accepted: too few, or not confirmed by the pixels."""
+    count, least = alignment.inlier_count, options.convincing_inliers
+    if count >= least:
+        return f"the pixels do not confirm the {count} inliers"
+    return f"only {count} inliers; at least {least} that the pixels confirm are needed"
 
 
 def max_displacement_metres(first: int, second: int, options: MapperOptions) -> float:
-    """Return the farthest that the robot may have gone between two frames, by their indices."""
+    """Return the farthest that the robot may have moved between two frames, by their indices."""
     step = options.max_step_metres
     return math.inf if step is None else step * max(1, abs(second - first))
 
@@ -71,13 +87,24 @@ def check_plausible(
 
     Parameters
     ----------
-    most_metres : float
-        The farthest that the robot may have gone.
+    fit : MotionHypothesis
+    limit_metres : float
+        The farthest that the robot may have moved.
+    options : MapperOptions
     beside_features : bool
-        Whether the pixels are asked for no more than not to contradict the features.
+        Whether the pixels need only not contradict the features.
     backed : bool
-        Whether so many features agree with the fit that few pixels need to.
+        Whether enough features agree with the fit that few pixels need to.
     """
+    return (
+        _check_motion(fit, limit_metres, options)
+        or _check_overlap(fit, options)
+        or _check_patches(fit, backed=backed)
+        or _check_correlation(fit, options, beside_features=beside_features, backed=backed)
+    )
+
+
+def _check_motion(fit: MotionHypothesis, limit_metres: float, options: MapperOptions) -> str:
     displacement = fit.pose.translation_length
     if displacement > limit_metres:
         return (
@@ -90,78 +117,113 @@ def check_plausible(
             f"the fit turns the robot by {turn:.0f} degrees; "
             f"at most {options.max_turn_degrees:.0f} are plausible"
         )
-    if fit.agreed.overlap < options.min_overlap:
+    return ""
+
+
+def _check_overlap(fit: MotionHypothesis, options: MapperOptions) -> str:
+    if fit.agreement.overlap < options.min_overlap:
         return (
-            f"the fit leaves an overlap of {fit.agreed.overlap:.0%}; "
+            f"the fit leaves an overlap of {fit.agreement.overlap:.0%}; "
             f"at least {options.min_overlap:.0%} is needed"
-        )
-    least = _MIN_BACKED if backed else _MIN_CONFIRMED
-    if fit.agreed.confirmed < least:
-        return (
-            f"only {fit.agreed.confirmed:.0%} of the floor's patches agree with the fit; "
-            f"at least {least:.0%} must"
-        )
-    enough = least if backed or beside_features else _CONFIRMED
-    if not fit.agreed.correlation >= options.min_score and not fit.agreed.confirmed >= enough:
-        return (
-            f"the pixels disagree with the fit: correlation {fit.agreed.correlation:.2f}; "
-            f"at least {options.min_score:.2f} is needed"
         )
     return ""
 
 
+def _check_patches(fit: MotionHypothesis, *, backed: bool) -> str:
+    least = _min_confirmed(backed=backed)
+    if fit.agreement.confirmed < least:
+        return (
+            f"only {fit.agreement.confirmed:.0%} of the floor's patches agree with the fit; "
+            f"at least {least:.0%} must"
+        )
+    return ""
+
+
+def _check_correlation(
+    fit: MotionHypothesis, options: MapperOptions, *, beside_features: bool, backed: bool
+) -> str:
+    enough = THRESHOLDS.min_confirmed_alone
+    if backed or beside_features:
+        enough = _min_confirmed(backed=backed)
+    # Either may be nan, which is not enough.
+    if fit.agreement.correlation >= options.min_score or fit.agreement.confirmed >= enough:
+        return ""
+    return (
+        f"the pixels disagree with the fit: correlation {fit.agreement.correlation:.2f}; "
+        f"at least {options.min_score:.2f} is needed"
+    )
+
+
+def _min_confirmed(*, backed: bool) -> float:
+    return THRESHOLDS.min_confirmed_backed if backed else THRESHOLDS.min_confirmed
+
+
 def check_similarity(pair: PyramidPair, fit: MotionHypothesis, options: MapperOptions) -> str:
-    """Return why the pixels alone are not believed: too unlike, or of too little shared floor."""
-    alike = fit.agreed.correlation
-    if math.isnan(fit.agreed.confirmed):
-        alike = min(
-            alike, max(hypotheses.coarse_similarity(pair, fit), alike - _FEW_PATCHES_HANDICAP)
+    """Return why the pixels alone are not accepted: too dissimilar, or too little shared floor."""
+    correlation = fit.agreement.correlation
+    if math.isnan(fit.agreement.confirmed):
+        correlation = min(
+            correlation,
+            max(
+                hypotheses.coarse_similarity(pair, fit),
+                correlation - THRESHOLDS.few_patches_handicap,
+            ),
         )
-    if not alike >= options.min_dense_score and not fit.agreed.confirmed >= _CONFIRMED:
+    confirmed = fit.agreement.confirmed >= THRESHOLDS.min_confirmed_alone
+    if not correlation >= options.min_dense_score and not confirmed:
         return (
-            f"the pixels are too unlike: correlation {alike:.2f}; "
-            f"at least {options.min_dense_score:.2f} is needed"
+            f"the views are too dissimilar: correlation {correlation:.2f}; "
+            f"at least {options.min_dense_score:.2f} is needed where few features agree"
         )
-    if fit.agreed.overlap < _MIN_DENSE_OVERLAP:
+    if fit.agreement.overlap < THRESHOLDS.min_searched_overlap:
         return (
-            f"the pixels share {fit.agreed.overlap:.0%} of the floor; "
-            f"at least {_MIN_DENSE_OVERLAP:.0%} is needed where few features agree"
+            f"the views share only {fit.agreement.overlap:.0%} of the floor; "
+            f"at least {THRESHOLDS.min_searched_overlap:.0%} is needed where few features agree"
         )
+    return ""
+
+
+def check_agrees_with_features(
+    alignment: FeatureAlignment, options: MapperOptions, *, contradicts: bool
+) -> str:
+    """Return why a motion that contradicts the features' is rejected: enough of them agree."""
+    if contradicts and enough_inliers(alignment, options):
+        return "the pixels support another motion than the features do"
     return ""
 
 
 def check_unique(rival: float, options: MapperOptions) -> str:
-    """Return why a motion is not singled out, given its rival's share of the evidence."""
+    """Return why a motion is ambiguous, given its rival's share of the evidence."""
     if rival <= options.max_rival_evidence:
         return ""
     return (
         f"ambiguous: another motion explains {rival:.0%} of what the best one does; "
-        f"at most {options.max_rival_evidence:.0%} is believed"
+        f"at most {options.max_rival_evidence:.0%} is accepted"
     )
 
 
 def check_period(
-    fit: MotionHypothesis, like: list[MotionHypothesis], options: MapperOptions
+    fit: MotionHypothesis, alternatives: Sequence[MotionHypothesis], options: MapperOptions
 ) -> str:
-    """Return why a motion is not singled out on a floor that repeats, given those it is like."""
-    for other in like:
+    """Return why a motion is ambiguous on a floor that repeats, given those a period away."""
+    for other in alternatives:
         if other.evidence > options.max_rival_evidence * fit.evidence:
             apart = (fit.pose.inverse() @ other.pose).translation_length
-            return f"ambiguous: the floor repeats, and {apart:.2g} farther on it fits as well"
+            return f"ambiguous: the floor repeats, and a motion {apart:.2g} farther on fits as well"
     return ""
 
 
 def check_observable(fit: MotionHypothesis, range_metres: float, options: MapperOptions) -> str:
-    """Return why a motion is not known in every direction."""
+    """Return why a motion is not determined in every direction."""
     variances, directions = np.linalg.eigh(fit.covariance[:2, :2])
     sigma, turn_sigma = math.sqrt(float(variances[1])), math.sqrt(float(fit.covariance[2, 2]))
-    if sigma <= options.max_sigma_share * range_metres:
-        # A turn moves most of the floor by less than half of what it moves the farthest by.
-        if turn_sigma <= 2.0 * options.max_sigma_share:
-            return ""
-        return f"the pixels leave the turn open (one sigma {math.degrees(turn_sigma):.2g} degrees)"
-    bearing = math.degrees(math.atan2(directions[1, 1], directions[0, 1])) % 180.0
-    return (
-        f"the pixels leave the motion open along {bearing:.0f} degrees "
-        f"(one sigma {sigma:.2g}): lines alone do not tell how far along them the robot went"
-    )
+    if sigma > options.max_sigma_share * range_metres:
+        bearing = math.degrees(math.atan2(directions[1, 1], directions[0, 1])) % 180.0
+        return (
+            f"the motion is open along {bearing:.0f} degrees (one sigma {sigma:.2g}): "
+            "both views show nothing but lines in that direction"
+        )
+    # A turn moves most of the floor by less than half of what it moves the farthest by.
+    if turn_sigma > 2.0 * options.max_sigma_share:
+        return f"the turn is open (one sigma {math.degrees(turn_sigma):.2g} degrees)"
+    return ""

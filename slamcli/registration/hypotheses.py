@@ -1,8 +1,10 @@
-"""Motions that may explain two frames: found on the pixels and weighed against one another."""
+"""The motions that may explain two frames: searched for on the pixels, compared with each other."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,58 +12,85 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2
-from slamcli.registration import refinement
-from slamcli.registration.refinement import MotionHypothesis, PyramidPair
+from slamcli.registration.hypothesis import (
+    MotionHypothesis,
+    PyramidPair,
+    same_motion,
+    score_refined,
+)
+from slamcli.registration.refinement import refine_hypothesis
 from slamcli.stages import dense
 
-# So many peaks of a search are followed up; a ridge along a line alone may hold several.
-_PEAKS = 10
-# What explains less than this share of what the best peak does, on the coarsest level, is no rival
-# on finer ones either.
-_MIN_SHARE_OF_BEST = 0.4
-# Fits of one motion with about the same evidence differ in what they let the camera do besides.
-_EQUAL_SHARE = 0.95
-_OPEN_SIGMAS = 4.0
-# Of the patches, for a motion; so many times those for its rival. Two wrong motions on a worn floor
-# each have about as many for them; on one whose tiles are all alike noise speaks for a tenth.
-_MIN_PREFERENCE, _PREFERENCE_TIMES = 0.15, 6.0
-# By so much more must views be alike on the coarsest level, whose few pixels agree by chance.
-_COARSE_HANDICAP = 0.2
+
+@dataclass(frozen=True, slots=True)
+class SearchSettings:
+    """Fixed numbers of the search for motions and of the comparison between them."""
+
+    # Peaks of a search that are refined; a ridge along a line alone may have several
+    # [guarded by benchmarks/robustness.py: course, textureless-course].
+    max_peaks: int = 10
+    # What has less than this share of the best peak's evidence on the coarsest level is no rival on
+    # finer ones either [guarded by benchmarks/robustness.py: tiles].
+    min_share_of_best: float = 0.4
+    # Fits of the same motion with about the same evidence differ only in what else they model;
+    # above this share the one with the smaller covariance is taken
+    # [guarded by benchmarks/robustness.py: rocking].
+    equal_evidence_share: float = 0.95
+    # A motion that differs from an open one by more than this across its open direction is another
+    # one [guarded by benchmarks/robustness.py: textureless-course].
+    open_direction_sigmas: float = 4.0
+    # Share of the patches that must prefer a motion, and how many times those that prefer its
+    # rival. Two wrong motions on a worn floor are each preferred by about as many patches; where
+    # all tiles are alike, noise makes a tenth of them prefer either
+    # [guarded by benchmarks/robustness.py: tiles, identical-tiles].
+    min_preferring_share: float = 0.15
+    min_preference_ratio: float = 6.0
+    # The few pixels of the coarsest level correlate by chance: its correlation counts less this
+    # [guarded by benchmarks/robustness.py: noise on bare].
+    coarse_handicap: float = 0.2
+
+
+SETTINGS = SearchSettings()
 
 
 def search(
     pair: PyramidPair, window: dense.SearchWindow, calibration: Calibration, options: MapperOptions
 ) -> tuple[dense.Search, list[MotionHypothesis]]:
-    """Search every motion of a window; return what was found, and what holds on all levels."""
+    """Search a window for motions; return the search, and its peaks refined on all levels."""
     found = dense.search(
-        pair.a[-1], pair.b[-1], window, min_overlap=options.min_overlap, count=_PEAKS
+        pair.a[-1],
+        pair.b[-1],
+        window,
+        min_overlap=options.min_overlap,
+        count=SETTINGS.max_peaks,
     )
-    # A start that the refinement leaves far behind is a slope of the evidence, not a peak.
+    # A start from which the refinement runs away is a slope of the evidence, no peak.
     refined_fits = [
-        refinement.refine_hypothesis(pair, start, None, calibration, options)
-        for start in _follow_up(pair, found, calibration, options)
+        refine_hypothesis(pair, start, None, calibration, options)
+        for start in _best_peaks(pair, found, calibration, options)
     ]
     return found, [fit for fit in refined_fits if fit is not None]
 
 
-def _follow_up(
+def _best_peaks(
     pair: PyramidPair, found: dense.Search, calibration: Calibration, options: MapperOptions
 ) -> list[Pose2]:
     """Refine a search's peaks on its own level; return those that may be the best or its rival."""
     tilt = math.radians(options.tilt_sigma_degrees)
     coarse_a, coarse_b = pair.a[-1:], pair.b[-1:]
+    assumptions = dense.RefinementAssumptions(from_search=True)
     peaks: list[dense.Candidate] = []
     for peak in found.candidates:
-        if peak.evidence < _MIN_SHARE_OF_BEST * found.candidates[0].evidence:
+        if peak.evidence < SETTINGS.min_share_of_best * found.candidates[0].evidence:
             continue
-        refined = dense.refine(coarse_a, coarse_b, peak.a_from_b, calibration, tilt, searched=True)
-        pose, shown = peak.a_from_b, peak.a_from_b.matrix
+        refined = dense.refine(coarse_a, coarse_b, peak.a_from_b, calibration, tilt, assumptions)
+        pose, view_a_from_view_b = peak.a_from_b, peak.a_from_b.matrix
         if refined is not None:
-            pose, shown = refined.a_from_b, refined.view_a_from_view_b
-        if not any(refinement.same(other.a_from_b, pose, pair) for other in peaks):
-            peaks.append(dense.evidence(coarse_a[0], coarse_b[0], pose, shown))
+            pose, view_a_from_view_b = refined.a_from_b, refined.view_a_from_view_b
+        if not any(same_motion(other.a_from_b, pose, pair) for other in peaks):
+            peaks.append(dense.evidence(coarse_a[0], coarse_b[0], pose, view_a_from_view_b))
     peaks.sort(key=lambda peak: -peak.evidence)
-    kept = [p for p in peaks if p.evidence >= _MIN_SHARE_OF_BEST * peaks[0].evidence]
+    kept = [p for p in peaks if p.evidence >= SETTINGS.min_share_of_best * peaks[0].evidence]
     return [peak.a_from_b for peak in kept[: options.max_hypotheses]]
 
 
@@ -72,23 +101,33 @@ def periodic_alternatives(
     calibration: Calibration,
     options: MapperOptions,
 ) -> list[MotionHypothesis]:
-    """Return the motions that a floor which repeats makes look like a fit, each as it fits best."""
-    found = []
+    """Return the motions a period of the floor away from a fit, each refined.
+
+    Parameters
+    ----------
+    pair : PyramidPair
+    fit : MotionHypothesis
+    repeats : (K, 2) float64
+        Shifts, metres in the robot's axes, by which the floor looks like itself.
+    calibration : Calibration
+    options : MapperOptions
+    """
+    alternatives = []
     for x, y in (*repeats, *-repeats):
         start = fit.pose @ Pose2(float(x), float(y))
         refined = dense.refine(pair.a[:2], pair.b[:2], start, calibration, 0.0)
-        if refined is not None and not refinement.same(refined.a_from_b, fit.pose, pair):
-            found.append(refinement.score_refined(pair, refined))
-    return [rival for rival in found if rival.agreed.overlap >= options.min_overlap]
+        if refined is not None and not same_motion(refined.a_from_b, fit.pose, pair):
+            alternatives.append(score_refined(pair, refined))
+    return [other for other in alternatives if other.agreement.overlap >= options.min_overlap]
 
 
 def outside_open_direction(
-    fits: list[MotionHypothesis], best: MotionHypothesis
+    fits: Sequence[MotionHypothesis], best: MotionHypothesis
 ) -> list[MotionHypothesis]:
-    """Leave out what differs from the best only where it is known least, as along a line."""
+    """Leave out what differs from the best only along its least certain direction."""
     variances, directions = np.linalg.eigh(best.covariance[:2, :2])
-    max_across = _OPEN_SIGMAS * math.sqrt(float(variances[0]))
-    max_turn = _OPEN_SIGMAS * math.sqrt(float(best.covariance[2, 2]))
+    max_across = SETTINGS.open_direction_sigmas * math.sqrt(float(variances[0]))
+    max_turn = SETTINGS.open_direction_sigmas * math.sqrt(float(best.covariance[2, 2]))
     kept = []
     for fit in fits:
         apart = best.pose.inverse() @ fit.pose
@@ -99,32 +138,36 @@ def outside_open_direction(
 
 
 def preferred_by_patches(pair: PyramidPair, fit: MotionHypothesis, rival: MotionHypothesis) -> bool:
-    """Return whether many patches speak for a motion, and few for its rival."""
+    """Return whether many patches prefer a motion to its rival, and few the rival."""
     pro, contra = dense.patch_votes(
         pair.a[1], pair.b[1], fit.view_a_from_view_b, rival.view_a_from_view_b
     )
-    return pro >= _MIN_PREFERENCE and contra <= pro / _PREFERENCE_TIMES
+    return pro >= SETTINGS.min_preferring_share and contra <= pro / SETTINGS.min_preference_ratio
 
 
 def coarse_similarity(pair: PyramidPair, fit: MotionHypothesis) -> float:
-    """Return how like the views are: on a bare floor the camera's noise hides it but coarsely."""
+    """Return the views' correlation where noise does not lower it: on the coarsest level too."""
     coarse = dense.evidence(pair.a[-1], pair.b[-1], fit.pose, fit.view_a_from_view_b).correlation
-    return max(fit.correlation, coarse - _COARSE_HANDICAP)
+    return max(fit.correlation, coarse - SETTINGS.coarse_handicap)
 
 
-def without_duplicates(fits: list[MotionHypothesis], pair: PyramidPair) -> list[MotionHypothesis]:
-    """Return the motions, best first, each once: as it is known best among equals."""
+def without_duplicates(
+    fits: Sequence[MotionHypothesis], pair: PyramidPair
+) -> list[MotionHypothesis]:
+    """Return the motions, best first, each once: of equal ones the most certain."""
     kept: list[MotionHypothesis] = []
     for fit in sorted(fits, key=lambda fit: -fit.evidence):
-        place = next(
-            (n for n, k in enumerate(kept) if refinement.same(k.pose, fit.pose, pair)), None
+        index = next(
+            (n for n, other in enumerate(kept) if same_motion(other.pose, fit.pose, pair)), None
         )
-        if place is None:
+        if index is None:
             kept.append(fit)
-        elif fit.evidence > _EQUAL_SHARE * kept[place].evidence and _surer(fit, kept[place]):
-            kept[place] = fit
+            continue
+        equal = fit.evidence > SETTINGS.equal_evidence_share * kept[index].evidence
+        if equal and _more_certain(fit, kept[index]):
+            kept[index] = fit
     return kept
 
 
-def _surer(fit: MotionHypothesis, other: MotionHypothesis) -> bool:
+def _more_certain(fit: MotionHypothesis, other: MotionHypothesis) -> bool:
     return bool(np.linalg.det(fit.covariance) < np.linalg.det(other.covariance))

@@ -1,4 +1,4 @@
-"""A frame made ready to be compared: all that needs no other frame."""
+"""Preparation of a frame for registration: all that needs no other frame."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ def assemble(
     frame: Frame,
     views: Sequence[View],
     found: Features,
-    stencils: Sequence[LevelMasks] | None = None,
+    level_masks: Sequence[LevelMasks] | None = None,
 ) -> PreparedFrame:
-    """Return a frame with its views' pyramids, and by how much its floor repeats.
+    """Return a frame with its views' pyramids, and the shifts by which its floor repeats.
 
     Parameters
     ----------
@@ -26,10 +26,10 @@ def assemble(
         when the camera sees farther.
     found : Features
         Of the first view.
-    stencils : sequence or None
-        From `make_stencils` of each view's mask, where they are at hand.
+    level_masks : sequence or None
+        From `make_level_masks` of each view's mask, where that was done before.
     """
-    known: Sequence[LevelMasks | None] = stencils or [None] * len(views)
+    known: Sequence[LevelMasks | None] = level_masks or [None] * len(views)
     levels, *far = [dense.make_levels(one, mask) for one, mask in zip(views, known, strict=True)]
     return PreparedFrame(
         frame.index,

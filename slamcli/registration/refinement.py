@@ -1,83 +1,87 @@
-"""A motion between two views, refined on their pixels and judged by them."""
+"""Photometric refinement of a motion hypothesis.
+
+A rigid motion is refined (1) with a steady camera; where the pixels then still disagree, (2) with a
+camera that rocks, first by as much as is expected, then by more. Where most of the informative
+patches disagree with the features' motion, both are done (3) with obstacles masked, until most of
+the floor agrees with a fit.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
-from slamcli.core.geometry import Pose2, wrap_angle
+from slamcli.core.geometry import Pose2
 from slamcli.core.records import PyramidLevel
+from slamcli.registration import criteria
+from slamcli.registration.hypothesis import (
+    MotionHypothesis,
+    PyramidPair,
+    max_variance,
+    photometric_score,
+    same_motion,
+    score_refined,
+)
 from slamcli.stages import dense
 
-# Two motions nearer than this, in pixels of the coarsest level and in radians, are one.
-_SAME_PIXELS = 3.0
-_SAME_RADIANS = 0.05
-# A rigid motion that correlates so well needs no rocking camera to explain it, unless what is left
-# over asks for one. Where it does not, the rocking is believed when it leaves less than the first
-# share unexplained: on a floor of a few lines a line's end may be brought to fit by a tilt as well
-# as by the motion. Where what is left over asks for it, the second is enough: of noise and of blur
-# it explains nothing.
-_STEADY_CORRELATION = 0.95
-_ROCKING_SHARE, _SUSPECTED_SHARE = 0.6, 0.97
-_CONTRAST_HANDICAP = 0.0475
-# A robot may rock so much more than its tilt sigma says, where the pixels ask for it.
-_ROCKING_TIMES = 5.0
-# Of the patches that tell.
-_MOSTLY = 0.5
-_MAX_STRAY_PIXELS, _MAX_STRAY_RADIANS = 2.0, math.radians(0.5)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PyramidPair:
-    """The pyramids of two views of one kind.
+class _Problem:
+    """A motion to be refined, and what is known of it before the first step.
 
     Attributes
     ----------
-    a, b : tuple of PyramidLevel
-    far : bool
-        Whether they reach beyond the range of the features.
-    """
-
-    a: tuple[PyramidLevel, ...]
-    b: tuple[PyramidLevel, ...]
-    far: bool = False
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MotionHypothesis:
-    """A motion that may become a link, and what the pixels say of it.
-
-    Attributes
-    ----------
+    pair : PyramidPair
     pose : Pose2
-        ``a_from_b``.
-    covariance : (3, 3) float64
-    agreed : Agreement
-    evidence, correlation : float
-        Of the contrast-normalised pixels.
-    view_a_from_view_b : (3, 3) float64
-        The motion as the views show it, each with its frame's tilt.
-    rocks : bool
-        Whether the pixels ask for a camera that rocks more than this motion allows for.
+    start : MotionHypothesis or None
+        The pose as the features measured it, with its score; None where a search or a guess led
+        to it.
+    steady : MotionHypothesis or None
+        Its refinement on all of the floor with a steady camera, if that was made.
+    calibration : Calibration
+    options : MapperOptions
     """
 
+    pair: PyramidPair
     pose: Pose2
-    covariance: Float64Array
-    agreed: dense.Agreement
-    evidence: float
-    correlation: float
-    view_a_from_view_b: Float64Array
-    rocks: bool = False
+    start: MotionHypothesis | None
+    steady: MotionHypothesis | None
+    calibration: Calibration
+    options: MapperOptions
 
     @property
-    def bent(self) -> bool:
-        """Whether it takes the camera to have rocked."""
-        return not np.array_equal(self.view_a_from_view_b, self.pose.matrix)
+    def tilt_sigma_radians(self) -> float:
+        """By how much the camera's tilt is expected to vary, one standard deviation."""
+        return math.radians(self.options.tilt_sigma_degrees)
+
+    @property
+    def levels_b(self) -> tuple[PyramidLevel, ...]:
+        """Of view b: features come within a pixel of the finest levels, a search does not."""
+        return self.pair.b if self.start is None else self.pair.b[:2]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Progress:
+    """What the steps so far have led to.
+
+    Attributes
+    ----------
+    best : MotionHypothesis or None
+    levels_a : tuple of PyramidLevel
+        Of view a, to refine on.
+    masked : bool
+        Whether points on obstacles are left out of them.
+    rocking : PhotometricFit or None
+        A fit with rocking that the next one starts at.
+    """
+
+    best: MotionHypothesis | None
+    levels_a: tuple[PyramidLevel, ...]
+    masked: bool
+    rocking: dense.PhotometricFit | None = None
 
 
 def refine_hypothesis(
@@ -87,253 +91,198 @@ def refine_hypothesis(
     calibration: Calibration,
     options: MapperOptions,
 ) -> MotionHypothesis | None:
-    """Refine a motion on the pixels, where that makes them agree better, and judge it.
+    """Refine a motion on the pixels, where that makes them agree better, and score it.
 
     Parameters
     ----------
     pair : PyramidPair
     pose : Pose2
     covariance : (3, 3) float64 or None
-        As features tell; None for what a search or a guess led to.
+        From the features; None for what a search or a guess led to.
     calibration : Calibration
     options : MapperOptions
 
     Returns
     -------
     MotionHypothesis or None
-        None where neither features nor pixels hold the motion.
+        None where neither features nor pixels determine the motion.
     """
     if covariance is None:
-        return _refined(pair, pose, None, None, calibration, options)
-    plain = None
-    if options.refine:
-        # Features come within a pixel of the finest levels.
-        refined = dense.refine(
-            pair.a[:2],
-            pair.b[:2],
-            pose,
-            calibration,
-            0.0,
-            suspected_tilt_radians=math.radians(options.tilt_sigma_degrees),
-        )
-        if refined is not None:
-            plain = score_refined(pair, refined)
-            near = not _diverged(pose, plain.pose, pair)
-            if near and _explains(plain) and _holds(plain, covariance, calibration, options):
-                # As on most floors: there is nothing left to ask the start about.
-                return plain
-    start = photometric_score(pair, pose, covariance, pose.matrix)
+        return _best_refinement(_Problem(pair, pose, None, None, calibration, options))
     if not options.refine:
-        return start
-    return _refined(pair, pose, start, plain, calibration, options)
-
-
-def _refined(
-    pair: PyramidPair,
-    pose: Pose2,
-    start: MotionHypothesis | None,
-    plain: MotionHypothesis | None,
-    calibration: Calibration,
-    options: MapperOptions,
-) -> MotionHypothesis | None:
-    """Return the best of a start and its refinements, the camera held still and let rock.
-
-    Parameters
-    ----------
-    pair : PyramidPair
-    pose : Pose2
-    start : MotionHypothesis or None
-        Of that pose; None when a search or a guess led to it.
-    plain : MotionHypothesis or None
-        Its refinement with all of the floor and no rocking, if it was made.
-    calibration : Calibration
-    options : MapperOptions
-    """
-    levels_a, levels_b, held = _spoken_for(pair, start)
-    best, rocked = start, None
-    steady = math.radians(options.tilt_sigma_degrees)
-    # What lies far off shifts by much for a little tilt, and is never compared without.
-    tilts = (0.0, steady, _ROCKING_TIMES * steady)
-    for tilt in tilts[1:] if pair.far else tilts:
-        # Among bare lines, where no features are, a large tilt passes for a turn.
-        asked_for = start is not None or (best is not None and best.bent and best.rocks)
-        if (tilt > 0.0 and best is not None and _steady(best)) or (tilt > steady and not asked_for):
-            break
-        # From where the features or the search led, or less rocking: without the rocking that there
-        # is, the refinement may have gone astray.
-        fit, refined = plain if tilt == 0.0 and not held else None, None
-        if fit is None:
-            refined = dense.refine(
-                levels_a,
-                levels_b,
-                pose if rocked is None else rocked.a_from_b,
-                calibration,
-                tilt,
-                searched=start is None,
-                rocked=rocked,
-                suspected_tilt_radians=steady,
-            )
-            if refined is None:
-                continue
-            fit = score_refined(pair, refined)
-        if tilt > 0.0 and best is not None and fit.correlation > best.correlation:
-            rocked = refined
-            if held:
-                levels_a = dense.keep_agreeing_points(
-                    pair.a[:2], levels_b[0], fit.view_a_from_view_b
-                )
-        # A camera that rocks makes most of the floor disagree too, until it is allowed for.
-        if held and mostly_obstructed(fit) and _diverged(pose, fit.pose, pair):
-            continue
-        if best is None or (
-            _better(fit, best, rocking=tilt > 0.0)
-            and _holds(fit, best.covariance, calibration, options)
-        ):
-            best = fit
-            if held and refined is not None and not mostly_obstructed(best):
-                # It was the rocking that made the floor disagree: now all of it may speak.
-                held, levels_a = False, pair.a[:2]
-                best = _by_all_of_the_floor(pair, best, refined, calibration, tilt)
-    return best
-
-
-def _spoken_for(
-    pair: PyramidPair, start: MotionHypothesis | None
-) -> tuple[tuple[PyramidLevel, ...], tuple[PyramidLevel, ...], bool]:
-    """Return the levels that a start is refined on, and whether not all of the floor may speak."""
-    if start is None:
-        return pair.a, pair.b, False
-    levels_a, levels_b = pair.a[:2], pair.b[:2]
-    if not mostly_obstructed(start):
-        return levels_a, levels_b, False
-    # Most of what is seen stands or walks, and would pull the motion to its own.
-    return (
-        dense.keep_agreeing_points(levels_a, levels_b[0], start.view_a_from_view_b),
-        levels_b,
-        True,
-    )
-
-
-def _by_all_of_the_floor(
-    pair: PyramidPair,
-    fit: MotionHypothesis,
-    told: dense.PhotometricFit,
-    calibration: Calibration,
-    tilt_sigma_radians: float,
-) -> MotionHypothesis:
-    """Refine a motion that the agreeing patches alone told; return the better one."""
+        return photometric_score(pair, pose, covariance, pose.matrix)
+    problem = _Problem(pair, pose, None, None, calibration, options)
     refined = dense.refine(
-        pair.a[:2], pair.b[:2], fit.pose, calibration, tilt_sigma_radians, rocked=told
+        pair.a[:2],
+        pair.b[:2],
+        pose,
+        calibration,
+        0.0,
+        dense.RefinementAssumptions(suspected_tilt_radians=problem.tilt_sigma_radians),
     )
+    steady = None
+    if refined is not None:
+        steady = score_refined(pair, refined)
+        near = not criteria.diverged(pose, steady.pose, pair)
+        if near and criteria.explains_all(steady) and _is_determined(steady, covariance, problem):
+            # As on most floors: no other camera model needs to be tried.
+            return steady
+    start = photometric_score(pair, pose, covariance, pose.matrix)
+    return _best_refinement(replace(problem, start=start, steady=steady))
+
+
+def _best_refinement(problem: _Problem) -> MotionHypothesis | None:
+    """Return the best of a start and its refinements, with a steady camera and a rocking one."""
+    progress = _mask_obstacles(problem)
+    sigma = problem.tilt_sigma_radians
+    tilts = (0.0, sigma, criteria.SETTINGS.max_rocking_sigmas * sigma)
+    # A little tilt shifts what lies far off by much: it is never compared without.
+    for tilt in tilts[1:] if problem.pair.far else tilts:
+        if tilt == 0.0:
+            progress = _refine_steady(problem, progress)
+        elif _needs_rocking(problem, progress.best, tilt):
+            progress = _refine_rocking(problem, progress, tilt)
+        else:
+            break
+    return progress.best
+
+
+def _mask_obstacles(problem: _Problem) -> _Progress:
+    """Return the start, with obstacles masked if most of what is seen is taken to be obstacles."""
+    pair, start = problem.pair, problem.start
+    if start is None:
+        return _Progress(None, pair.a, masked=False)
+    if not criteria.mostly_obstructed(start):
+        return _Progress(start, pair.a[:2], masked=False)
+    # Obstacles would pull the motion to their own.
+    kept = dense.keep_agreeing_points(pair.a[:2], pair.b[0], start.view_a_from_view_b)
+    return _Progress(start, kept, masked=True)
+
+
+def _refine_steady(problem: _Problem, progress: _Progress) -> _Progress:
+    """Refine with a steady camera, unless that was done before."""
+    if problem.steady is not None and not progress.masked:
+        return _keep_better(problem, progress, problem.steady, None, 0.0)
+    refined = _refine(problem, progress, 0.0)
     if refined is None:
-        return fit
-    whole = score_refined(pair, refined)
-    return whole if whole.evidence > fit.evidence else fit
+        return progress
+    return _keep_better(problem, progress, score_refined(problem.pair, refined), refined, 0.0)
 
 
-def mostly_obstructed(fit: MotionHypothesis) -> bool:
-    """Return whether most of what tells something stands or walks on the floor."""
-    return fit.agreed.confirmed < _MOSTLY
+def _needs_rocking(problem: _Problem, best: MotionHypothesis | None, tilt: float) -> bool:
+    """Return whether to let the camera rock, given the best fit with less of it."""
+    if best is not None and criteria.explained_by_steady_camera(best):
+        return False
+    # On bare lines, where there are no features, a large tilt passes for a turn.
+    if tilt <= problem.tilt_sigma_radians or problem.start is not None:
+        return True
+    return best is not None and best.includes_rocking and best.rocking_suspected
 
 
-def _diverged(start: Pose2, pose: Pose2, pair: PyramidPair) -> bool:
-    """Return whether what stands or walks pulled a motion away from what features say."""
-    moved = start.inverse() @ pose
-    most = _MAX_STRAY_PIXELS * pair.a[0].metres_per_pixel
-    return moved.translation_length > most or abs(moved.theta) > _MAX_STRAY_RADIANS
+def _refine_rocking(problem: _Problem, progress: _Progress, tilt: float) -> _Progress:
+    """Refine with a camera whose tilt varies by a sigma, radians, from the best rocking so far."""
+    refined = _refine(problem, progress, tilt)
+    if refined is None:
+        return progress
+    fit = score_refined(problem.pair, refined)
+    if progress.best is not None and fit.correlation > progress.best.correlation:
+        # From the start alone, a refinement with more rocking may diverge.
+        progress = replace(progress, rocking=refined)
+        if progress.masked:
+            levels_a = dense.keep_agreeing_points(
+                problem.pair.a[:2], problem.pair.b[0], fit.view_a_from_view_b
+            )
+            progress = replace(progress, levels_a=levels_a)
+    return _keep_better(problem, progress, fit, refined, tilt)
 
 
-def _holds(
+def _refine(problem: _Problem, progress: _Progress, tilt: float) -> dense.PhotometricFit | None:
+    rocking = progress.rocking
+    return dense.refine(
+        progress.levels_a,
+        problem.levels_b,
+        problem.pose if rocking is None else rocking.a_from_b,
+        problem.calibration,
+        tilt,
+        dense.RefinementAssumptions(
+            from_search=problem.start is None,
+            rocking=rocking,
+            suspected_tilt_radians=problem.tilt_sigma_radians,
+        ),
+    )
+
+
+def _keep_better(
+    problem: _Problem,
+    progress: _Progress,
     fit: MotionHypothesis,
-    other: Float64Array,
-    calibration: Calibration,
-    options: MapperOptions,
-) -> bool:
-    """Return whether the pixels hold a motion in every direction, or no less than another is."""
-    least = (options.max_sigma_share * calibration.max_range_metres) ** 2
-    return widest_variance(fit) <= max(least, _widest(other))
+    refined: dense.PhotometricFit | None,
+    tilt: float,
+) -> _Progress:
+    """Take a fit for the best one if it is better and follows no obstacle."""
+    best = progress.best
+    # A rocking camera makes most of the floor disagree too, until it is modelled.
+    if (
+        progress.masked
+        and criteria.mostly_obstructed(fit)
+        and criteria.diverged(problem.pose, fit.pose, problem.pair)
+    ):
+        return progress
+    if best is not None and not (
+        criteria.better(fit, best, rocking=tilt > 0.0)
+        and _is_determined(fit, best.covariance, problem)
+    ):
+        return progress
+    if progress.masked and refined is not None and not criteria.mostly_obstructed(fit):
+        # The rocking made the floor disagree, no obstacle: nothing needs to be masked any more.
+        best = _refine_unmasked(problem, fit, refined, tilt)
+        return replace(progress, best=best, levels_a=problem.pair.a[:2], masked=False)
+    return replace(progress, best=fit)
 
 
-def widest_variance(fit: MotionHypothesis) -> float:
-    """Return the variance of the motion in the direction in which it is known worst."""
-    return _widest(fit.covariance)
+def _refine_unmasked(
+    problem: _Problem, fit: MotionHypothesis, refined: dense.PhotometricFit, tilt: float
+) -> MotionHypothesis:
+    """Refine a fit of the agreeing patches alone on all of the floor; return the better one."""
+    pair = problem.pair
+    unmasked = dense.refine(
+        pair.a[:2],
+        pair.b[:2],
+        fit.pose,
+        problem.calibration,
+        tilt,
+        dense.RefinementAssumptions(rocking=refined),
+    )
+    if unmasked is None:
+        return fit
+    scored = score_refined(pair, unmasked)
+    return scored if scored.evidence > fit.evidence else fit
 
 
-def _widest(covariance: Float64Array) -> float:
-    return float(np.linalg.eigvalsh(covariance[:2, :2])[1])
+def _is_determined(fit: MotionHypothesis, other: Float64Array, problem: _Problem) -> bool:
+    """Return whether a motion is known well enough in every direction, or as well as another."""
+    limit = (problem.options.max_sigma_share * problem.calibration.max_range_metres) ** 2
+    return fit.max_variance <= max(limit, max_variance(other))
 
 
 def converges_to(pair: PyramidPair, guess: Pose2, fit: MotionHypothesis) -> bool:
-    """Return whether a guess, refined, would be no other motion than a fit that explains all."""
-    return _explains(fit) and same(fit.pose, guess, pair)
-
-
-def _explains(fit: MotionHypothesis) -> bool:
-    """Return whether a fit leaves no camera that rocks and no crowd of legs to be asked about."""
-    return _steady(fit) and not mostly_obstructed(fit)
-
-
-def _steady(fit: MotionHypothesis) -> bool:
-    """Return whether no rocking is needed; on a bare floor noise hides it but from the contrast."""
-    alike = max(fit.correlation, fit.agreed.correlation - _CONTRAST_HANDICAP)
-    return alike >= _STEADY_CORRELATION and not fit.rocks
+    """Return whether a guess, refined, would end at a fit that leaves nothing unexplained."""
+    return criteria.explains_all(fit) and same_motion(fit.pose, guess, pair)
 
 
 def refine_on_near_view(
     near: PyramidPair, fit: MotionHypothesis, calibration: Calibration, options: MapperOptions
 ) -> MotionHypothesis:
-    """Refine what the far pixels told on the near ones too, where those share enough of the floor.
+    """Refine a far view's fit on the near view too, where that shares enough of the floor.
 
-    The far pixels' evidence stays: they are what told this motion from others.
+    The far view's evidence is kept: it distinguished this motion from its rivals.
     """
     tilt = math.radians(options.tilt_sigma_degrees)
-    known = dense.MotionPrior(fit.pose, fit.covariance)
-    refined = dense.refine(near.a[:2], near.b[:2], fit.pose, calibration, tilt, known)
+    assumptions = dense.RefinementAssumptions(prior=dense.MotionPrior(fit.pose, fit.covariance))
+    refined = dense.refine(near.a[:2], near.b[:2], fit.pose, calibration, tilt, assumptions)
     if refined is None:
         return fit
     sharper = score_refined(near, refined)
-    if sharper.agreed.overlap < options.min_overlap:
+    if sharper.agreement.overlap < options.min_overlap:
         return fit
     return replace(sharper, evidence=fit.evidence, correlation=fit.correlation)
-
-
-def photometric_score(
-    pair: PyramidPair,
-    pose: Pose2,
-    covariance: Float64Array,
-    shown: Float64Array,
-) -> MotionHypothesis:
-    """Return what the pixels say of one motion."""
-    agreed = dense.agreement(pair.a[0], pair.b[0], shown)
-    # The floor's own fine texture outweighs, pixel by pixel, what large things that stand on it do.
-    fine = dense.evidence(pair.a[0], pair.b[0], pose, shown)
-    middle = dense.evidence(pair.a[1], pair.b[1], pose, shown)
-    correlation = max(fine.correlation, middle.correlation)
-    return MotionHypothesis(pose, covariance, agreed, fine.evidence, correlation, shown)
-
-
-def score_refined(pair: PyramidPair, refined: dense.PhotometricFit) -> MotionHypothesis:
-    """Return what the pixels say of a refined motion."""
-    fit = photometric_score(pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b)
-    return replace(fit, rocks=refined.rocks)
-
-
-def same(first: Pose2, second: Pose2, pair: PyramidPair) -> bool:
-    """Return whether two motions are one, as far as the coarsest level tells."""
-    apart = first.inverse() @ second
-    near = _SAME_PIXELS * pair.a[-1].metres_per_pixel
-    return apart.translation_length < near and abs(wrap_angle(apart.theta)) < _SAME_RADIANS
-
-
-def _better(fit: MotionHypothesis, other: MotionHypothesis, *, rocking: bool) -> bool:
-    """Return whether a refined fit agrees better.
-
-    One that bends the floor must do so by far; where the pixels ask for it, by less; and where
-    they ask for more of a bend that is there already, at all.
-    """
-    if not rocking:
-        return fit.evidence > other.evidence
-    share = _ROCKING_SHARE
-    if other.rocks:
-        share = 1.0 if other.bent else _SUSPECTED_SHARE
-    return 1.0 - fit.correlation < share * (1.0 - other.correlation)

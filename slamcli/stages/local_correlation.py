@@ -1,4 +1,4 @@
-"""Whether two pictures really look alike under a transform, judged in small windows.
+"""Local correlation: the similarity of two pictures under a transform, in small windows.
 
 One correlation over a whole overlap is high for any two photographs with a bright sky above a
 dark ground, and low where half of it is an empty canvas. The median over small windows, each
@@ -15,12 +15,15 @@ import numpy as np
 from slamcli.core.arrays import Float32Array, Float64Array
 from slamcli.core.records import View
 
-# Of the pixels of a; coarse enough to forgive a pixel of misfit or of blur.
+# Of the compared raster; coarse enough to tolerate a pixel of misfit or of blur
+# [guarded by tests/run/match/test_appendix_a.py].
 _MAX_PIXELS = 250_000
 _WINDOW_PIXELS = 17
+# Windows with less contrast are left out; with fewer windows there is no result
+# [guarded by tests/run/match/test_appendix_a.py].
 _MIN_DEVIATION_GRAY = 4.0
 _MIN_WINDOWS = 6
-# Fine detail hangs on the sharpness of either picture.
+# Fine detail depends on the sharpness of either picture.
 _SMOOTHING_PIXELS = 1.2
 
 
@@ -37,7 +40,7 @@ def local_correlation(view_a: View, view_b: View, a_from_b: Float64Array) -> flo
     Returns
     -------
     float in [-1, 1]
-        Nan when hardly any window shows something in both.
+        Nan when fewer than six windows have contrast in both.
     """
     # The comparison is made at the coarser of the two resolutions, so that neither is enlarged.
     area_scale = math.sqrt(abs(float(np.linalg.det(a_from_b[:2, :2]))))

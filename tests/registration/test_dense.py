@@ -1,4 +1,4 @@
-"""RegisteredDrive by the pixels alone: floors on which features find little, or too much alike."""
+"""Registration by the pixels: floors on which features find little, or too much alike."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions, MatchOptions
 from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.core.records import FeatureAlignment, Features, Frame, PreparedFrame
-from slamcli.registration import refinement, register
+from slamcli.registration import register
+from slamcli.registration.hypothesis import PyramidPair, score_refined
+from slamcli.registration.refinement import refine_hypothesis
 from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import CameraOptions, DisturbanceOptions
 from slamcli.stages import align, dense
@@ -117,12 +119,12 @@ def test_the_textureless_course_is_mapped_whole() -> None:
 def test_tiles_that_are_all_alike_are_ambiguous() -> None:
     camera = photographer_of(stripes(0.1, both=True))
     a, b = prepared_of(camera, Pose2(), 0), prepared_of(camera, Pose2(0.03, 0.01, 0.02), 1)
-    trial = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
-    assert trial.link is None
-    assert "ambiguous" in trial.reason or "open along" in trial.reason
+    result = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
+    assert result.link is None
+    assert "ambiguous" in result.reason or "open along" in result.reason
 
 
-def test_an_expectation_spares_work_and_is_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_expected_motion_saves_work_and_is_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
     motion = Pose2(0.06, 0.01, 0.05)
     guesses: list[Pose2 | None] = []
     plain = align.align
@@ -138,13 +140,13 @@ def test_an_expectation_spares_work_and_is_no_evidence(monkeypatch: pytest.Monke
     a, b = prepared_of(camera, Pose2(), 0), prepared_of(camera, motion, 1)
     near, wrong = motion @ Pose2(0.02, -0.01, 0.03), motion @ Pose2(-0.4, 0.1)
     links = {}
-    for expected, asked in ((None, [None]), (near, [near]), (wrong, [wrong, None])):
+    for expected, expected_guesses in ((None, [None]), (near, [near]), (wrong, [wrong, None])):
         guesses.clear()
-        trial = register(a, b, None, CALIBRATION, MapperOptions(), expected=expected)
-        assert guesses == asked
-        assert trial.link is not None
-        assert error_of(trial.link.a_from_b, motion)[0] < 0.0003
-        links[expected] = trial.link
+        result = register(a, b, None, CALIBRATION, MapperOptions(), expected=expected)
+        assert guesses == expected_guesses
+        assert result.link is not None
+        assert error_of(result.link.a_from_b, motion)[0] < 0.0003
+        links[expected] = result.link
     assert links[wrong].a_from_b == links[None].a_from_b
     tiles = photographer_of(stripes(0.1, both=True))
     a, b = prepared_of(tiles, Pose2(), 0), prepared_of(tiles, motion, 1)
@@ -153,19 +155,19 @@ def test_an_expectation_spares_work_and_is_no_evidence(monkeypatch: pytest.Monke
     assert guesses == [None]
 
 
-def test_a_single_line_does_not_tell_how_far_along_it_the_robot_went() -> None:
+def test_a_single_line_leaves_the_motion_along_it_open() -> None:
     camera = photographer_of(stripes(5.0, both=False))
     start = Pose2(-0.5, 0.0, 0.0)
     a, b = prepared_of(camera, start, 0), prepared_of(camera, start @ Pose2(0.04, 0.02), 1)
-    trial = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
-    assert trial.link is None
+    result = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
+    assert result.link is None
     refined = dense.refine(a.levels, b.levels, Pose2(0.04, 0.02), CALIBRATION, 0.0)
     if refined is not None:
         across, along = np.sqrt(np.diag(refined.covariance)[:2])
         assert along > 10 * across
 
 
-def test_a_refinement_sees_through_a_rocking_camera() -> None:
+def test_a_refinement_models_a_rocking_camera() -> None:
     camera = photographer_of(floors.make_floor("asphalt", 0.0, 0.001, seed=3))
     rocking = DisturbanceOptions(rocking_degrees=0.4, bounce_metres=0.002)
     motion = Pose2(0.05, 0.01, 0.1)
@@ -212,20 +214,20 @@ def test_the_errors_of_measured_motions_are_what_their_covariances_say() -> None
 def test_floor_elsewhere_is_not_placed() -> None:
     camera = photographer_of(floors.make_floor("asphalt", 0.0, 0.001, seed=3))
     a, b = prepared_of(camera, Pose2(), 0), prepared_of(camera, Pose2(9.0, 4.0, 1.0), 1)
-    trial = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
-    assert trial.link is None
-    assert trial.reason
+    result = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
+    assert result.link is None
+    assert result.reason
 
 
-def test_vignetting_does_not_hold_a_line_back() -> None:
+def test_vignetting_does_not_bias_the_motion_of_a_line() -> None:
     """A lens darkens where a line is seen, not where it lies."""
     camera = bare_course()
     start, motion = on_circle(0.3), Pose2(0.05, 0.0, 0.08)
     dark = DisturbanceOptions(vignetting=0.4, noise_gray=1.0)
     a, b = prepared_of(camera, start, 0, dark), prepared_of(camera, start @ motion, 1, dark)
-    trial = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
-    assert trial.link is not None
-    metres, degrees = error_of(trial.link.a_from_b, motion)
+    result = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
+    assert result.link is not None
+    metres, degrees = error_of(result.link.a_from_b, motion)
     assert metres < 0.003
     assert degrees < 0.3
 
@@ -238,29 +240,29 @@ def bare_pair(disturbances: DisturbanceOptions) -> tuple[PreparedFrame, Prepared
     return first, prepared_of(photographer, start @ motion, 1, disturbances), motion
 
 
-def test_noise_outvotes_no_mark_on_a_bare_floor() -> None:
+def test_noise_hides_no_mark_on_a_bare_floor() -> None:
     a, b, motion = bare_pair(DisturbanceOptions(noise_gray=12.0))
-    trial = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
-    assert trial.link is not None, trial.reason
-    metres, degrees = error_of(trial.link.a_from_b, motion)
+    result = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
+    assert result.link is not None, result.reason
+    metres, degrees = error_of(result.link.a_from_b, motion)
     assert metres < 0.002
     assert degrees < 0.2
 
 
-def test_what_walks_is_left_out_of_the_levels_that_are_refined() -> None:
+def test_points_on_obstacles_are_left_out_of_the_levels_that_are_refined() -> None:
     a, b, motion = bare_pair(DisturbanceOptions())
     image = b.levels[0].image.copy()
     image[:, : image.shape[1] // 2] = np.random.default_rng(0).integers(0, 255, image.shape)[
         :, : image.shape[1] // 2
     ]
-    walked = replace(b.levels[0], image=image)
-    kept = dense.keep_agreeing_points(a.levels[:2], walked, motion.matrix)
+    obstructed = replace(b.levels[0], image=image)
+    kept = dense.keep_agreeing_points(a.levels[:2], obstructed, motion.matrix)
     pixels = apply_homography(b.levels[0].pixel_from_metres, motion.inverse().apply(kept[0].points))
     assert 0 < len(kept[0].points) < len(a.levels[0].points)
     assert pixels[:, 0].min() > image.shape[1] // 2 - 16
 
 
-def test_all_of_the_floor_speaks_once_rocking_explains_why_it_disagreed() -> None:
+def test_all_of_the_floor_is_used_once_rocking_explains_why_it_disagreed() -> None:
     # By the few patches that agree without rocking, the motion comes out 5 mm and 0.3 degrees off.
     calibration = photograph.make_camera(CameraOptions(size=(640, 480)))
     world = photograph.World(floors.make_floor("carpet", 0.5, 0.001, seed=0))
@@ -275,9 +277,9 @@ def test_all_of_the_floor_speaks_once_rocking_explains_why_it_disagreed() -> Non
         rocking = DisturbanceOptions(rocking_degrees=0.5)
         image = photograph.take(photographer, way, 0.0, rocking, generator)
         prepared.append(mapper.prepare(Frame(index, f"{index}", None, image)))
-    trial = register(*prepared, None, calibration, MapperOptions())
-    assert trial.link is not None
-    metres, degrees = error_of(trial.link.a_from_b, motion)
+    result = register(*prepared, None, calibration, MapperOptions())
+    assert result.link is not None
+    metres, degrees = error_of(result.link.a_from_b, motion)
     assert metres < 0.0005
     assert degrees < 0.03
 
@@ -302,60 +304,68 @@ def rocked_pair(
 
 
 @pytest.mark.parametrize(("floor", "place"), [("asphalt", 2), ("planks", 1)])
-def test_rocking_is_told_where_a_steady_fit_correlates_well(floor: str, place: int) -> None:
+def test_rocking_is_suspected_where_a_steady_fit_correlates_well(floor: str, place: int) -> None:
     calibration, a, b = rocked_pair(floor, 0.1, place)
     suspected = math.radians(0.1)
     levels = a.levels[:2], b.levels[:2]
     steady = dense.refine(
-        *levels, ROCKED_MOTION, calibration, 0.0, suspected_tilt_radians=suspected
+        *levels,
+        ROCKED_MOTION,
+        calibration,
+        0.0,
+        dense.RefinementAssumptions(suspected_tilt_radians=suspected),
     )
     assert steady is not None
-    assert steady.rocks
+    assert steady.rocking_suspected
     metres, _ = error_of(steady.a_from_b, ROCKED_MOTION)
     assert metres > 0.0007
-    near = refinement.PyramidPair(a.levels, b.levels)
-    assert refinement.score_refined(near, steady).correlation > 0.95
-    trial = register(a, b, None, calibration, MapperOptions())
-    assert trial.link is not None
-    metres, _ = error_of(trial.link.a_from_b, ROCKED_MOTION)
+    near = PyramidPair(a.levels, b.levels)
+    assert score_refined(near, steady).correlation > 0.95
+    result = register(a, b, None, calibration, MapperOptions())
+    assert result.link is not None
+    metres, _ = error_of(result.link.a_from_b, ROCKED_MOTION)
     assert metres < 0.0003
 
 
 @pytest.mark.parametrize("floor", ["asphalt", "course"])
-def test_a_steady_camera_is_not_said_to_rock(floor: str) -> None:
+def test_a_steady_camera_is_not_suspected_to_rock(floor: str) -> None:
     calibration, a, b = rocked_pair(floor, 0.0, 0)
     levels, suspected = (a.levels[:2], b.levels[:2]), math.radians(0.1)
     steady = dense.refine(
-        *levels, ROCKED_MOTION, calibration, 0.0, suspected_tilt_radians=suspected
+        *levels,
+        ROCKED_MOTION,
+        calibration,
+        0.0,
+        dense.RefinementAssumptions(suspected_tilt_radians=suspected),
     )
     assert steady is not None
-    assert not steady.rocks
+    assert not steady.rocking_suspected
 
 
 @pytest.mark.parametrize("place", [1, 2])
-def test_a_camera_that_rocks_by_more_than_is_said_is_allowed_to(place: int) -> None:
-    """By the sigma that is said, the motions come out 0.16 to 0.37 mm off."""
+def test_a_camera_may_rock_by_more_than_its_tilt_sigma(place: int) -> None:
+    """With the tilt sigma alone, the motions come out 0.16 to 0.37 mm off."""
     calibration, a, b = rocked_pair("carpet", 0.5, place)
-    trial = register(a, b, None, calibration, MapperOptions())
-    assert trial.link is not None
-    metres, _ = error_of(trial.link.a_from_b, ROCKED_MOTION)
+    result = register(a, b, None, calibration, MapperOptions())
+    assert result.link is not None
+    metres, _ = error_of(result.link.a_from_b, ROCKED_MOTION)
     assert metres < 0.00012
 
 
-def test_much_rocking_is_found_from_where_less_of_it_led() -> None:
+def test_much_rocking_is_found_from_a_fit_with_less_of_it() -> None:
     """Features start 10 mm off, where few patches agree; from there it comes out 0.4 mm off."""
     calibration, a, b = rocked_pair("carpet", 0.5, 3)
     options = MapperOptions()
     found = align.align(a.features, b.features, options.matching)
     assert found.pose is not None
-    near = refinement.PyramidPair(a.levels, b.levels)
-    fit = refinement.refine_hypothesis(near, found.pose, found.covariance, calibration, options)
+    near = PyramidPair(a.levels, b.levels)
+    fit = refine_hypothesis(near, found.pose, found.covariance, calibration, options)
     assert fit is not None
     metres, _ = error_of(fit.pose, ROCKED_MOTION)
     assert metres < 0.00025
 
 
-def test_what_a_rocking_camera_makes_disagree_is_not_left_to_another_tile() -> None:
+def test_disagreement_from_rocking_does_not_make_another_tile_win() -> None:
     """Features alone, not yet allowed to rock, agree with few patches: the search's fit is kept."""
     calibration = photograph.make_camera(CameraOptions())
     world = photograph.World(floors.make_floor("tiles", 0.5, 0.0005, seed=0))
@@ -372,14 +382,14 @@ def test_what_a_rocking_camera_makes_disagree_is_not_left_to_another_tile() -> N
         poses.append(pose)
     motion = poses[0].inverse() @ poses[1]
     window = dense.SearchWindow(motion, math.radians(40.0), 0.4)
-    trial = register(frames[0], frames[1], None, calibration, MapperOptions(), window=window)
-    assert trial.link is not None, trial.reason
-    metres, degrees = error_of(trial.link.a_from_b, motion)
+    result = register(frames[0], frames[1], None, calibration, MapperOptions(), window=window)
+    assert result.link is not None, result.reason
+    metres, degrees = error_of(result.link.a_from_b, motion)
     assert metres < 0.002
     assert degrees < 0.2
 
 
-def test_the_score_tells_right_motions_from_wrong_ones() -> None:
+def test_the_score_separates_right_motions_from_wrong_ones() -> None:
     camera = photographer_of(floors.make_floor("asphalt", 0.5, 0.001, seed=3))
     motion = Pose2(0.05, 0.01, 0.1)
     a, b = prepared_of(camera, Pose2(), 0), prepared_of(camera, motion, 1)

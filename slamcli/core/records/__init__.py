@@ -1,4 +1,4 @@
-"""The records that cross the walls between stages; all frozen, arrays never written to."""
+"""The records that stages exchange; all frozen, their arrays never written to."""
 
 from slamcli.core.records.features import DescriptorNorm, FeatureAlignment, Features, Keypoints
 from slamcli.core.records.frames import Frame, Keyframe, PreparedFrame, PyramidLevel, View

@@ -1,4 +1,4 @@
-"""Points of a view, what they look like, and the transform that two sets of them agree on."""
+"""Keypoints and features of a view, and the alignment of two sets of features."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DescriptorNorm = Literal["hamming", "hamming2", "l2"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keypoints:
-    """What a detector found in a view, still in pixels: for drawings, and to become Features.
+    """Keypoints of a view with their descriptors, in pixels: for drawings, and to make Features of.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Keypoints:
     scales : (N,) float32
         Pixels of the view to a pixel of the pyramid level.
     sigmas : (N,) float32, pixels
-        One standard deviation of the place, in the view.
+        One standard deviation of the position, in the view.
     descriptors : (N, D) uint8 or float32
     norm : str
         How descriptors are compared.
@@ -54,7 +54,7 @@ class Keypoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Features:
-    """Points of the floor with what they look like; above this record there are no pixels.
+    """Points of the floor with their descriptors, in metres: what matching and alignment use.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Features:
     sizes : (N,) float32, metres
         Diameter of what the descriptor is centred on.
     angles : (N,) float32, radians
-        Which way its surroundings are turned, counter-clockwise from the robot's x; nan where the
+        Orientation of its surroundings, counter-clockwise from the robot's x; nan where the
         descriptor does not turn with them.
     norm : str
         How descriptors are compared; ``hamming2`` counts pairs of bits (ORB with WTA_K 3 or 4).
@@ -87,7 +87,7 @@ class Features:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureAlignment:
-    """One transform fitted to the matches of two sets of features, or why none is believed.
+    """A transform fitted to the matches of two sets of features, or why it is not accepted.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class FeatureAlignment:
     spread : float
         Of the inliers over the view: their narrower extent over that of all its points.
     reason : str
-        Why the transform is not to be believed; empty when it is.
+        Why the transform is not accepted; empty when it is.
     """
 
     model: TransformModel
@@ -126,7 +126,7 @@ class FeatureAlignment:
 
     @property
     def inlier_count(self) -> int:
-        """How many matches agree with the transform."""
+        """Number of matches that agree with the transform."""
         return int(self.inliers.sum())
 
     @property

@@ -1,4 +1,4 @@
-"""One picture of a sequence, and what becomes of it: its view, its pyramid, a keyframe."""
+"""A frame, its bird's-eye view, its pyramid levels, and the keyframe that is kept of it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Frame:
     Attributes
     ----------
     index : int
-        Place in the sequence, from 0.
+        Position in the sequence, from 0.
     name : str
     stamp : float or None
         Seconds.
@@ -57,7 +57,7 @@ class View:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PyramidLevel:
-    """One level of a view's pyramid, ready to be compared pixel by pixel.
+    """One level of a view's image pyramid, ready for photometric comparison.
 
     Attributes
     ----------
@@ -67,13 +67,13 @@ class PyramidLevel:
     image, mask : (h, w) uint8
         The view, shrunk; 255 in the mask where all of a pixel was seen.
     detail : (h, w) float32
-        The image without its slow brightness, which belongs to lamp and lens.
+        The image without its low frequencies of brightness, which are of lamp and lens.
     inside : (h, w) uint8
         255 where the detail and its gradient are free of the mask's border.
     weight : (h, w) float32
         1 there, else 0.
     points : (N, 2) float64
-        The pixels whose gradients tell most, metres, robot frame.
+        The pixels with the strongest gradients, metres, robot frame.
     values : (N,) float64
         Their detail.
     gradients : (N, 2) float64
@@ -81,9 +81,9 @@ class PyramidLevel:
     noise_gray : float
         One standard deviation of the camera's noise in the detail.
     normalised : (h, w) float32
-        The detail with its local contrast evened out; 0 outside.
+        The detail with normalised local contrast; 0 outside.
     energy : float
-        The mean of its square, of what is inside.
+        The mean of its square over what is inside.
     frame_noise_gray : float
         One standard deviation of the camera's noise in the frame itself; 0 where unknown.
     """
@@ -106,7 +106,7 @@ class PyramidLevel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedFrame:
-    """What one frame gives to the mapper: all that can be computed without any other frame.
+    """A frame prepared for registration: all that can be computed without any other frame.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class PreparedFrame:
     levels : tuple of PyramidLevel
         Of the view, from half resolution on.
     far_levels : tuple of PyramidLevel
-        Of a coarser view that reaches farther; empty where the camera sees no farther.
+        Of a coarser view of the floor beyond; empty where the camera sees no farther.
     repeats : (K, 2) float64
         Shifts, metres in the robot's axes, by which the view looks like itself.
     """
@@ -138,7 +138,7 @@ class PreparedFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keyframe:
-    """A frame as it is kept for as long as the map lasts, to be compared with later ones.
+    """A frame that is kept as long as the map, for loop closure and relocalisation.
 
     Attributes
     ----------

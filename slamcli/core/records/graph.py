@@ -1,4 +1,4 @@
-"""Nodes and edges of the pose graph, and the map that a finished drive leaves."""
+"""Nodes and edges of the pose graph, and the map of a finished drive."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Status = Literal["tracked", "predicted", "lost"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
-    """A measured motion between two frames.
+    """An edge of the pose graph: a measured motion between two frames.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Link:
         Of x, y (m) and theta (rad), in b's own axes (GTSAM's tangent space).
     inliers : int
     score : float
-        How likely the motion is right, in [0, 1]; nan when no picture told it.
+        Probability that the motion is right, in [0, 1]; nan when it is not from pictures.
     kind : str
     """
 
@@ -44,7 +44,7 @@ class Link:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEstimate:
-    """Where the robot was for one frame, or why that is not known.
+    """A node of the pose graph: the robot's pose at one frame, or why it is unknown.
 
     Attributes
     ----------
@@ -61,14 +61,14 @@ class PoseEstimate:
         Of x, y (m), theta (rad), in the robot's own axes.
     inliers : int
     score : float
-        Of the surest link that placed the frame; nan without one.
+        Highest of the links that the pose was inserted by; nan without one.
     revised : tuple of int
         Frames whose earlier estimates this update changed.
     odom_from_robot : Pose2 or None
-        The motions of all frames so far added up: it drifts and never jumps (ROS REP 105), for a
+        The sum of all frames' motions so far: it drifts and never jumps (ROS REP 105), for a
         controller, while `map_from_robot` may be revised. None when lost.
     rocking : Rocking or None
-        How its camera stood; None for as calibrated.
+        The camera's deviation from the calibration; None for none.
     """
 
     index: int
@@ -88,24 +88,24 @@ class PoseEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FloorMap:
-    """What a finished drive leaves behind to find oneself by.
+    """The map of a finished drive, to localise in and to extend.
 
     Attributes
     ----------
     calibration : Calibration
         Of the camera that made it.
     features : FeatureOptions
-        How its points were found; a frame to be located is treated alike.
+        How its points were detected; those of a frame to be localised are detected alike.
     metres_per_pixel : float
         Of the views.
     tilt_sigma_degrees : float
-        By how much the camera's pitch varied.
+        One standard deviation of the camera's pitch from frame to frame.
     keyframes : tuple of Keyframe
-        Those that are placed.
+        Those with a pose.
     estimates : tuple of PoseEstimate
         One for every frame, in order.
     links : tuple of Link
-        Between them; odometry's too.
+        Between them, those of odometry included.
     sources : tuple of Path
         Folders and files that the frames were read from, in their order; empty where not recorded.
     """

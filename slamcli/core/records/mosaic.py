@@ -1,4 +1,4 @@
-"""What the map is painted of, and what is painted."""
+"""Input and output of the mosaic: frames with their poses, and painted tiles."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from slamcli.core.geometry import Grid, Pose2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedFrame:
-    """A frame that has its place, ready to be painted.
+    """A frame with its pose, ready to be painted.
 
     Attributes
     ----------
@@ -19,8 +19,7 @@ class PosedFrame:
         Of the frame.
     map_from_robot : Pose2
     calibration : Calibration
-        Of this frame: its tilt and height may differ from the others'; the lens and the picture's
-        size may not.
+        Of this frame: tilt and height may differ from the others'; lens and picture size may not.
     """
 
     index: int
@@ -41,8 +40,8 @@ class Tile:
         Pixels of a picture to a metre of floor, in the view that saw the floor best; 0 where
         nothing was seen.
     obstacles : (h, w, 4) uint8 BGRA or None
-        What is not floor: opaque where it stands, half transparent where it was for a time only;
-        None when there is nothing.
+        Pictures of obstacles: opaque where they are permanent, half transparent where they were for
+        a time only; None when there are none.
     views : (h, w) uint16
         How many frames saw the floor here, of those that were compared.
     latest : (h, w) int32

@@ -1,4 +1,4 @@
-"""Two views compared pixel by pixel: searched, refined, and judged."""
+"""Dense registration of two views: correlation search, photometric refinement, agreement."""
 
 from slamcli.stages.dense.agreement import (
     Agreement,
@@ -14,15 +14,16 @@ from slamcli.stages.dense.correlation_search import (
     evidence,
     search,
 )
-from slamcli.stages.dense.lucas_kanade import MotionPrior, PhotometricFit, refine
+from slamcli.stages.dense.lucas_kanade import PhotometricFit, RefinementAssumptions, refine
 from slamcli.stages.dense.obstacles import ObstacleMask, find_obstacles
 from slamcli.stages.dense.periodicity import find_periods
+from slamcli.stages.dense.photometric_residuals import MotionPrior
 from slamcli.stages.dense.pyramid import (
     LevelMask,
+    level_masks_from_half,
     levels_from_half,
+    make_level_masks,
     make_levels,
-    make_stencils,
-    stencils_from_half,
 )
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "MotionPrior",
     "ObstacleMask",
     "PhotometricFit",
+    "RefinementAssumptions",
     "Search",
     "SearchWindow",
     "agreement",
@@ -39,12 +41,12 @@ __all__ = [
     "find_obstacles",
     "find_periods",
     "keep_agreeing_points",
+    "level_masks_from_half",
     "levels_from_half",
+    "make_level_masks",
     "make_levels",
-    "make_stencils",
     "overlap",
     "patch_votes",
     "refine",
     "search",
-    "stencils_from_half",
 ]

@@ -1,4 +1,4 @@
-"""How well two views agree under a motion."""
+"""Photometric agreement of two views under a motion: correlation, overlap, and patch by patch."""
 
 from __future__ import annotations
 
@@ -15,26 +15,28 @@ from slamcli.core.records import PyramidLevel, View
 
 _MIN_SHARED_PIXELS = 200
 _OVERLAP_STEP = 16
-# Patches tell something when they vary by more than a camera's noise does at half resolution: what
-# the warp and the halving leave of it has a third of the frame's own variance at most, and a patch
-# with half as much noise as pattern still agrees with itself.
+# Patches are informative when they vary by more than the camera's noise does at half resolution:
+# after warp and halving that has a third of the frame's own variance at most, and a patch with half
+# as much noise as pattern still agrees with itself [guarded by benchmarks/robustness.py: noise].
 _PATCH_PIXELS = 16
-_TELLING_GRAY = 3.0
-_TELLING_NOISE_SHARE = 0.7
+_MIN_INFORMATIVE_GRAY = 3.0
+_INFORMATIVE_NOISE_SHARE = 0.7
 _MIN_PATCHES = 12
+# A patch agrees from this correlation on [guarded by benchmarks/robustness.py: legs].
 _PATCH_CORRELATION = 0.5
-# Two motions are compared at a quarter of the resolution, where noise and what a view farther away
-# blurs differ little: by so much better must a patch agree under one motion to speak for it, and so
-# well, as what legs hide agrees with neither, by chance better with one.
+# Two motions are compared at a quarter of the resolution, where noise and the blur of farther views
+# differ little: a patch prefers a motion under which it correlates better by the first margin, and
+# at least by the second number, as what obstacles hide agrees with either only by chance
+# [guarded by benchmarks/robustness.py: tiles, legs on tiles].
 _PREFERENCE_PATCH_PIXELS = 12
 _HALVED_NOISE = 0.5
-_BETTER = 0.05
-_WELL = 0.6
+_MIN_PREFERENCE_MARGIN = 0.05
+_MIN_PREFERRED_CORRELATION = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Agreement:
-    """How two overlapping views compare under a motion.
+    """Photometric agreement of two overlapping views under a motion.
 
     Attributes
     ----------
@@ -43,9 +45,9 @@ class Agreement:
     overlap : float
         Share of the smaller view's floor that both see.
     confirmed : float
-        Share of the overlap's telling patches that agree each by itself, in [0, 1]: where something
-        stands or walks on a floor that is seen well, the others are the floor. nan where too few
-        patches tell.
+        Share of the overlap's informative patches that agree each by itself, in [0, 1]: obstacles
+        on a floor that is seen well leave the others in agreement. nan where too few patches are
+        informative.
     """
 
     correlation: float
@@ -54,7 +56,7 @@ class Agreement:
 
 
 def overlap(view_a: View, view_b: View, a_from_b: Pose2) -> float:
-    """Return about which share of view b's floor view a sees too, from every 16th pixel."""
+    """Return the share of view b's floor that view a sees too, estimated from every 16th pixel."""
     rows, columns = np.nonzero(view_b.mask[::_OVERLAP_STEP, ::_OVERLAP_STEP])
     pixels_b = _OVERLAP_STEP * np.column_stack([columns, rows])
     points_b = apply_homography(view_b.grid.metres_from_pixel, pixels_b)
@@ -75,27 +77,29 @@ def agreement(a: PyramidLevel, b: PyramidLevel, view_a_from_view_b: Float64Array
     view_a_from_view_b : (3, 3) float64
         Metres to metres: a motion, or a `PhotometricFit`'s.
     """
-    moved, both = _laid_over(a, b, view_a_from_view_b)
+    moved, both = _warped_onto(a, b, view_a_from_view_b)
     smaller = int(min(np.count_nonzero(a.mask == 255), np.count_nonzero(b.mask == 255)))
     shared = int(np.count_nonzero(both))
     if shared < _MIN_SHARED_PIXELS:
         return Agreement(math.nan, shared / max(1, smaller), math.nan)
     correlation = _correlation(a.image, moved, both)
-    patches, telling = _patch_correlations(a.image, moved, both, _PATCH_PIXELS, _telling_gray(a, b))
+    patches, informative = _patch_correlations(
+        a.image, moved, both, _PATCH_PIXELS, _min_deviation(a, b)
+    )
     confirmed = math.nan
-    if np.count_nonzero(telling) >= _MIN_PATCHES:
+    if np.count_nonzero(informative) >= _MIN_PATCHES:
         agree = patches > _PATCH_CORRELATION
-        confirmed = float(np.mean(agree[telling]))
+        confirmed = float(np.mean(agree[informative]))
     return Agreement(correlation, shared / smaller, confirmed)
 
 
 def _correlation(first: UInt8Array, second: UInt8Array, both: BoolArray) -> float:
-    """Return the correlation of two pictures where both count; 0 where either is even."""
+    """Return the correlation of two pictures inside a mask; 0 where either is uniform."""
     count = np.count_nonzero(both)
     mask = both.view(np.uint8)
     seen_a, seen_b = cv2.multiply(first, mask), cv2.multiply(second, mask)
-    # From sums of bytes, which are exact and quick; that of the products is half of what the
-    # squares have over the difference's.
+    # From sums of bytes, which are exact and fast; the sum of products is half of what the sums of
+    # squares exceed that of the squared difference by.
     total_a, total_b = cv2.sumElems(seen_a)[0], cv2.sumElems(seen_b)[0]
     square_a, square_b = cv2.norm(seen_a, cv2.NORM_L2SQR), cv2.norm(seen_b, cv2.NORM_L2SQR)
     product = (square_a + square_b - cv2.norm(seen_a, seen_b, cv2.NORM_L2SQR)) / 2.0
@@ -112,11 +116,11 @@ def patch_votes(
     view_a_from_view_b: Float64Array,
     rival: Float64Array,
 ) -> tuple[float, float]:
-    """Return which share of the patches that tell speak clearly for one motion, and for its rival.
+    """Return the shares of the informative patches that prefer a motion, and that prefer its rival.
 
-    Where a floor repeats, both motions explain nearly all of it; scratches, stains and wear tell
-    them apart, by a little in each of many patches. What agrees under the one alone may be a leg,
-    and is no word for it. nan where too few patches tell of both.
+    Where a floor repeats, both motions explain nearly all of it; scratches, stains and wear
+    distinguish them, by a little in each of many patches. A patch that agrees under the first alone
+    may show an obstacle and does not count for it. nan where too few patches are informative.
 
     Parameters
     ----------
@@ -124,16 +128,22 @@ def patch_votes(
         The second of each pyramid.
     view_a_from_view_b, rival : (3, 3) float64
     """
-    side, least = _PREFERENCE_PATCH_PIXELS, _telling_gray(a, b, _HALVED_NOISE)
-    laid_over = _laid_over(a, b, view_a_from_view_b)
-    first, telling = _patch_correlations(a.image, *laid_over, side, least)
-    second, also = _patch_correlations(a.image, *_laid_over(a, b, rival), side, least)
-    both = telling & also
+    side, least = _PREFERENCE_PATCH_PIXELS, _min_deviation(a, b, _HALVED_NOISE)
+    warped = _warped_onto(a, b, view_a_from_view_b)
+    first, informative = _patch_correlations(a.image, *warped, side, least)
+    second, informative_too = _patch_correlations(a.image, *_warped_onto(a, b, rival), side, least)
+    both = informative & informative_too
     count = np.count_nonzero(both)
     if count < _MIN_PATCHES:
         return math.nan, math.nan
-    pro = both & (first > np.maximum(second + _BETTER, _WELL)) & (second > _PATCH_CORRELATION)
-    contra = both & (second > np.maximum(first + _BETTER, _WELL))
+    pro = (
+        both
+        & (first > np.maximum(second + _MIN_PREFERENCE_MARGIN, _MIN_PREFERRED_CORRELATION))
+        & (second > _PATCH_CORRELATION)
+    )
+    contra = both & (
+        second > np.maximum(first + _MIN_PREFERENCE_MARGIN, _MIN_PREFERRED_CORRELATION)
+    )
     return float(np.count_nonzero(pro) / count), float(np.count_nonzero(contra) / count)
 
 
@@ -142,7 +152,7 @@ def keep_agreeing_points(
 ) -> tuple[PyramidLevel, ...]:
     """Return levels of view a with those points alone that lie in patches which agree with b.
 
-    What stands or walks on the floor has no say then.
+    That leaves out the points of obstacles.
 
     Parameters
     ----------
@@ -153,14 +163,14 @@ def keep_agreeing_points(
     view_a_from_view_b : (3, 3) float64
     """
     finest = levels_a[0]
-    patches, telling = _patch_correlations(
+    patches, informative = _patch_correlations(
         finest.image,
-        *_laid_over(finest, b, view_a_from_view_b),
+        *_warped_onto(finest, b, view_a_from_view_b),
         _PATCH_PIXELS,
-        _telling_gray(finest, b),
+        _min_deviation(finest, b),
     )
     rows, columns = (side // _PATCH_PIXELS for side in finest.image.shape)
-    agree = (telling & (patches > _PATCH_CORRELATION)).reshape(rows, columns)
+    agree = (informative & (patches > _PATCH_CORRELATION)).reshape(rows, columns)
     kept = []
     for level in levels_a:
         pixels = apply_homography(finest.pixel_from_metres, level.points)
@@ -178,10 +188,10 @@ def keep_agreeing_points(
     return tuple(kept)
 
 
-def _laid_over(
+def _warped_onto(
     a: PyramidLevel, b: PyramidLevel, view_a_from_view_b: Float64Array
 ) -> tuple[UInt8Array, BoolArray]:
-    """Return b's picture as a sees it, and where both see the floor."""
+    """Return b's picture warped onto a's pixels, and where both see the floor."""
     b_from_a_pixel = invert(view_a_from_view_b) @ invert(a.pixel_from_metres)
     b_pixel_from_a_pixel = b.pixel_from_metres @ b_from_a_pixel
     size = (a.image.shape[1], a.image.shape[0])
@@ -191,10 +201,13 @@ def _laid_over(
     return np.asarray(moved, np.uint8), (np.asarray(seen) == 255) & (a.mask == 255)
 
 
-def _telling_gray(a: PyramidLevel, b: PyramidLevel, noise_share: float = 1.0) -> float:
-    """Return by how much a patch must vary to tell something, where so much noise is left."""
+def _min_deviation(a: PyramidLevel, b: PyramidLevel, noise_share: float = 1.0) -> float:
+    """Return the least standard deviation of an informative patch, gray levels.
+
+    `noise_share` is what halving leaves of the frame's noise.
+    """
     noise_gray = noise_share * max(a.frame_noise_gray, b.frame_noise_gray)
-    return max(_TELLING_GRAY, _TELLING_NOISE_SHARE * noise_gray)
+    return max(_MIN_INFORMATIVE_GRAY, _INFORMATIVE_NOISE_SHARE * noise_gray)
 
 
 def _patch_correlations(
@@ -202,9 +215,9 @@ def _patch_correlations(
     image_b: UInt8Array,
     both: BoolArray,
     side: int,
-    telling_gray: float,
+    min_deviation_gray: float,
 ) -> tuple[Float32Array, BoolArray]:
-    """Return each patch's own correlation, and whether it is whole and shows more than noise."""
+    """Return each patch's own correlation, and whether it is whole and informative."""
     rows, columns = (whole - whole % side for whole in both.shape)
     first, second, weight = (
         picture[:rows, :columns]
@@ -215,12 +228,12 @@ def _patch_correlations(
     )
     whole = weight.all(axis=1)
     correlation = np.zeros(len(first), np.float32)
-    telling = np.zeros(len(first), np.bool_)
+    informative = np.zeros(len(first), np.bool_)
     patch_a, patch_b = first[whole].astype(np.float32), second[whole].astype(np.float32)
     patch_a -= patch_a.mean(axis=1, keepdims=True)
     patch_b -= patch_b.mean(axis=1, keepdims=True)
     energy_a, energy_b = (patch_a**2).mean(axis=1), (patch_b**2).mean(axis=1)
-    telling[whole] = np.maximum(energy_a, energy_b) > telling_gray**2
+    informative[whole] = np.maximum(energy_a, energy_b) > min_deviation_gray**2
     norm = np.sqrt(np.maximum(energy_a * energy_b, np.float32(1e-6)))
     correlation[whole] = (patch_a * patch_b).mean(axis=1) / norm
-    return correlation, telling
+    return correlation, informative

@@ -1,7 +1,7 @@
-"""Every rotation and translation of one view over another, scored by what the pixels say.
+"""Correlation search: every rotation and translation of one view over another, scored.
 
 Masked normalised cross-correlation by fast Fourier transforms (Padfield, IEEE Transactions on Image
-Processing 21, 2012), a rotation at a time, on pictures whose local mean and contrast are taken out.
+Processing 21, 2012), a rotation at a time, on pictures with normalised local mean and contrast.
 """
 
 from __future__ import annotations
@@ -17,21 +17,23 @@ from slamcli.core.arrays import BoolArray, Complex64Array, Float32Array, Float64
 from slamcli.core.geometry import Pose2, apply_homography, invert
 from slamcli.core.records import PyramidLevel
 
+# Rotations between two tries: the refinement converges from half a step
+# [guarded by benchmarks/robustness.py: course].
 _STEP_RADIANS = math.radians(4.0)
-# An overlap in which hardly anything is to be seen correlates by chance: this share of the whole
-# picture's contrast is added to each overlap's.
+# An overlap with next to no contrast correlates by chance: this share of the whole picture's
+# contrast is added to each overlap's [guarded by benchmarks/robustness.py: bare].
 _SEARCH_CONTRAST_PRIOR = 0.1
 _CONTRAST_PRIOR = 0.02
 _HIGHEST_CORRELATION = 0.999
 _MIN_PIXELS = 64.0
-# Peaks nearer than this to a higher one belong to it.
+# Peaks nearer than this to a higher one, in pixels and rotation steps, belong to it.
 _PEAK_PIXELS = 4
 _PEAK_STEPS = 2
 
 
 @dataclass(frozen=True, slots=True)
 class SearchWindow:
-    """Where to search.
+    """The motions that are searched.
 
     Attributes
     ----------
@@ -40,9 +42,9 @@ class SearchWindow:
     angle_radians : float
         Headings tried to either side.
     radius_metres : float
-        Translations tried all round, of the middle of what b saw; inf: all.
-    way_metres : float
-        The farthest that the robot may have gone from a to b; inf: any way.
+        Translations tried in every direction, of the middle of what b saw; inf: all.
+    max_displacement_metres : float
+        The farthest that the robot may have moved from a to b; inf: any distance.
     """
 
     centre: Pose2 = field(default_factory=Pose2)
@@ -53,7 +55,7 @@ class SearchWindow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """One motion that the pixels speak for.
+    """A motion with the evidence of the pixels for it.
 
     Attributes
     ----------
@@ -63,7 +65,8 @@ class Candidate:
     overlap : float
         Share of the smaller view that both see.
     evidence : float
-        Minus the logarithm of what the motion leaves unexplained, times the overlap's pixels.
+        Log-likelihood ratio: minus the logarithm of the share of variance that the motion leaves
+        unexplained, times the overlap's pixels.
     """
 
     a_from_b: Pose2
@@ -74,7 +77,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Search:
-    """What a search found.
+    """The result of a correlation search.
 
     Attributes
     ----------
@@ -94,7 +97,7 @@ class Search:
 def search(
     a: PyramidLevel, b: PyramidLevel, window: SearchWindow, *, min_overlap: float, count: int = 6
 ) -> Search:
-    """Return the motions that best lay view b on view a.
+    """Return the motions that align view b with view a best.
 
     Parameters
     ----------
@@ -143,7 +146,7 @@ def search(
 
 
 def autocorrelation(level: PyramidLevel) -> tuple[Float32Array, Float32Array]:
-    """Return how a view correlates with itself, shifted, and which share of it both then see.
+    """Return a view's correlation with itself, shifted, and the share of it that overlaps.
 
     Two pictures of equal shape, no shift in their middle, pixel (rows // 2, columns // 2).
     """
@@ -163,7 +166,7 @@ def autocorrelation(level: PyramidLevel) -> tuple[Float32Array, Float32Array]:
 def evidence(
     a: PyramidLevel, b: PyramidLevel, a_from_b: Pose2, view_a_from_view_b: Float64Array
 ) -> Candidate:
-    """Return how the pixels of two views speak for one motion.
+    """Return one motion with the evidence of two views' pixels for it.
 
     Parameters
     ----------
@@ -196,7 +199,7 @@ def _total(values: cv2.typing.MatLike) -> float:
 
 
 def _middle_of(weight: Float32Array) -> tuple[float, float]:
-    """Return the (column, row) about which what was seen turns without leaving its frame."""
+    """Return the (column, row) in the middle of what was seen: turned about it, it stays inside."""
     rows, columns = np.nonzero(weight)
     if len(rows) == 0:
         return 0.0, 0.0
@@ -206,7 +209,7 @@ def _middle_of(weight: Float32Array) -> tuple[float, float]:
 def _transforms(
     values: Float32Array, weight: Float32Array, shape: tuple[int, int]
 ) -> tuple[Complex64Array, Complex64Array, Complex64Array]:
-    """Return the spectra of a picture, of its square, and of where it is seen."""
+    """Return the spectra of a picture, of its square, and of its mask."""
     weighted = values * weight
     return (
         fft.rfft2(weighted, shape),
@@ -256,7 +259,7 @@ def _allowed(
 def _too_far(
     a: PyramidLevel, rotation: Float64Array, window: SearchWindow, shape: tuple[int, int]
 ) -> BoolArray:
-    """Return which translations of a turned picture take the robot farther than its way."""
+    """Return which translations of a turned picture exceed the robot's largest displacement."""
     if math.isinf(window.max_displacement_metres):
         return np.zeros(shape, np.bool_)
     robot = a.pixel_from_metres[:2, 2]
@@ -276,17 +279,19 @@ def _signed(shift: Int64Array, length: int) -> Int64Array:
 
 def _peaks(evidence_of: Float64Array, count: int) -> list[tuple[int, int, int]]:
     """Return (angle, row, column) of the highest values that are not each other's neighbours."""
-    rest = evidence_of.copy()
-    angles, height, width = rest.shape
+    remaining = evidence_of.copy()
+    angles, height, width = remaining.shape
     around = np.arange(-_PEAK_PIXELS, _PEAK_PIXELS + 1)
     peaks = []
     for _ in range(count):
-        angle, row, column = (int(i) for i in np.unravel_index(int(rest.argmax()), rest.shape))
-        if not rest[angle, row, column] > 0:
+        angle, row, column = (
+            int(i) for i in np.unravel_index(int(remaining.argmax()), remaining.shape)
+        )
+        if not remaining[angle, row, column] > 0:
             break
         peaks.append((angle, row, column))
         near = np.arange(max(0, angle - _PEAK_STEPS), min(angles, angle + _PEAK_STEPS + 1))
-        rest[np.ix_(near, (row + around) % height, (column + around) % width)] = 0.0
+        remaining[np.ix_(near, (row + around) % height, (column + around) % width)] = 0.0
     return peaks
 
 

@@ -1,4 +1,4 @@
-"""How surely pixels tell a motion, from what both views show of the gradients."""
+"""The covariance of a photometric fit, from the gradients that both views share."""
 
 from __future__ import annotations
 
@@ -12,15 +12,25 @@ from slamcli.core.records import PyramidLevel
 from slamcli.stages.dense import pyramid
 
 _MIN_INFORMATION = 1e-8
+# Information below this many sigmas of what noise adds up to is taken for none
+# [guarded by benchmarks/robustness.py: textureless-course; sigmas by benchmarks/accuracy.py: NEES].
 _CHANCE_SIGMAS = 2.0
-# The stairs of a line's edge in the camera's pixels, and the blocks of a JPEG, move with the camera
-# and not with the floor: such a share of an edge's gradient along it tells nothing.
-_STAIRS = 0.01
+# Aliasing of an edge in the camera's pixels, and the blocks of a JPEG, move with the camera and not
+# with the floor: this share of an edge's gradient along it is no information
+# [guarded by benchmarks/robustness.py: jpeg, textureless-course].
+_ALIASING_SHARE = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitState:
-    """The motion, and what pitch, roll and height differ by in either frame; (0,) where unknown."""
+    """The unknowns: the motion, and the deviations of pitch, roll and height in either frame.
+
+    Attributes
+    ----------
+    a_from_b : Pose2
+    mounting_a, mounting_b : (K,) float64
+        Radians and metres; (0,) for a steady camera.
+    """
 
     a_from_b: Pose2
     mounting_a: Float64Array
@@ -29,17 +39,18 @@ class FitState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalEquations:
-    """The last step on a level, and what it was made from.
+    """The last Gauss-Newton step on a level.
 
     Attributes
     ----------
     state : FitState
     jacobian : (N, K) float64
     pixels, points : (N, 2) float64
-        In b's level and on its floor.
+        In b's level and on its floor, metres.
     residual, weight : (N,) float64
-        Before the step; by what is left over.
+        Before the step; the weight by the noise of the residuals themselves.
     prior : (K, K) float64
+        Information of the priors.
     """
 
     state: FitState
@@ -52,10 +63,11 @@ class NormalEquations:
 
 
 def covariance_of(b: PyramidLevel, solved: NormalEquations) -> Float64Array | None:
-    """Return the covariance (3, 3) of the motion, from what both views show of the gradients.
+    """Return the covariance (3, 3) of the motion, from the gradients that both views share.
 
-    The noise of one view has gradients too, which would pass for knowledge of a motion along a
-    plain line; the product with the other view's, whose noise is another, has none on average.
+    The noise of one view has gradients too, which would pass for information about a motion along a
+    plain line; in the product with the other view's, whose noise is independent, they cancel on
+    average. None where the information is not finite.
     """
     jacobian, pixels, points, weight = (
         solved.jacobian,
@@ -68,7 +80,7 @@ def covariance_of(b: PyramidLevel, solved: NormalEquations) -> Float64Array | No
     both = jacobian.copy()
     both[:, :2] = -other
     both[:, 2] = other[:, 0] * points[:, 1] - other[:, 1] * points[:, 0]
-    # About the middle of the overlap turning and moving are told apart.
+    # About the middle of the overlap, rotation and translation are uncorrelated.
     central = np.eye(jacobian.shape[1])
     middle = points.mean(axis=0)
     central[:2, 2] = middle[1], -middle[0]
@@ -80,11 +92,11 @@ def covariance_of(b: PyramidLevel, solved: NormalEquations) -> Float64Array | No
     values, vectors = np.linalg.eigh((shared + shared.T) / 2.0 * scales)
     if not np.isfinite(values).all():
         return None
-    # The products of the two views' noise, and of either's with what both show, add up by chance
-    # to this; along a direction of which the views show nothing that is all there is.
+    # The products of the two views' noise, and of either's with what both show, add up by chance to
+    # this; along an unobservable direction they are all there is.
     noise = np.einsum("ki,kl,li->i", vectors, unshared * scales, vectors)
     chance = np.sqrt((2.0 * np.maximum(values, 0.0) * noise + noise**2) / len(points))
-    chance = np.maximum(_CHANCE_SIGMAS * chance, _STAIRS)
+    chance = np.maximum(_CHANCE_SIGMAS * chance, _ALIASING_SHARE)
     seen = (vectors * np.maximum(values - chance, 0.0)) @ vectors.T
     information = (
         seen + central.T @ solved.prior @ central * scales + _MIN_INFORMATION * np.eye(len(seen))

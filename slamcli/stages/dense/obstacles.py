@@ -1,8 +1,8 @@
-"""What stands on the floor: where two views disagree under the floor's own motion.
+"""Obstacles: where two views disagree under the floor's own motion.
 
-A thing that stands up is shown where the ray past it meets the floor, which is another place from
-every other view. The two are compared in small windows, each at the level of the pyramid that the
-camera resolves there in both views: finer detail, of what is far away, disagrees of itself.
+An obstacle is shown where the ray past it meets the floor, which differs from view to view. Two
+views are compared in small windows, each at the pyramid level that the camera resolves there in
+both: finer detail of far floor disagrees in any case.
 """
 
 from __future__ import annotations
@@ -22,32 +22,34 @@ from slamcli.stages.dense import pyramid
 
 # Side of a cell, in pixels of the finest level.
 _CELL_PIXELS = 8
-# Of the windows that are compared, pixels of their own level.
+# Side of the windows that are compared, in pixels of their own level.
 _WINDOW_PIXELS = 5
-# By so much a window may be moved to agree: what a motion, a calibration or a tilt errs by.
+# A window may be moved by this to agree: errors of motion, calibration and tilt
+# [guarded by tests/run/paint/test_obstacles.py].
 _SHIFT_PIXELS = 1
-# Windows that vary by less than this in both views, or in variance by less than so many times the
-# noise, show the camera's noise.
-_TELLING_GRAY = 4.0
-_TELLING_NOISES = 4.0
-# Of what the two windows show, the difference of unlike ones is all, of like ones next to nothing.
-_UNLIKE_SHARE = 0.25
-# A level serves where the camera's pixels are at most so many of its own.
-_COARSER = 1.5
+# Windows that vary by less than this in both views, or whose variance is less than this many times
+# that of the noise, show the camera's noise [guarded by tests/run/paint/test_obstacles.py].
+_MIN_DEVIATION_GRAY = 4.0
+_MIN_NOISE_VARIANCES = 4.0
+# The difference of two windows as a share of their energy: about 1 for unlike ones, 0 for like ones
+# [guarded by tests/run/paint/test_obstacles.py].
+_MIN_UNLIKE_SHARE = 0.25
+# A level is used where the camera's pixels are at most this many of its own.
+_MAX_CAMERA_PIXELS = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObstacleMask:
-    """Cells of one view that were compared with another.
+    """The cells of a view where another view shows something else.
 
     Attributes
     ----------
     cells_from_metres : (3, 3) float64
         Robot frame to column and row of a cell; whole numbers are the cells' centres.
     judged : (h, w) bool
-        Both views show something there.
+        The cells that were compared: both views show more than noise there.
     unlike : (h, w) bool
-        And it is not the same: something stands there, in this view or in the other.
+        The compared cells that differ: an obstacle is there, in this view or in the other.
     """
 
     cells_from_metres: Float64Array
@@ -78,7 +80,7 @@ def find_obstacles(
     view_a_from_view_b : (3, 3) float64
         Metres to metres, of the floor: a motion, or a `PhotometricFit`'s.
     calibration : Calibration
-        Of the camera that took both: what it resolves where.
+        Of the camera that took both.
     """
     finest = levels_a[0]
     rows, columns = (-(-side // _CELL_PIXELS) for side in finest.image.shape)
@@ -97,26 +99,26 @@ def find_obstacles(
     judged, unlike = np.zeros(len(points), np.bool_), np.zeros(len(points), np.bool_)
     least = 0.0
     for a, b in zip(levels_a, levels_b, strict=True):
-        most = _COARSER * a.metres_per_pixel
+        most = _MAX_CAMERA_PIXELS * a.metres_per_pixel
         here = (resolved > least) & (resolved <= most)
         least = most
         if not here.any():
             continue
-        telling, share = _compare(a, b, view_a_from_view_b)
+        informative, share = _compare(a, b, view_a_from_view_b)
         at_column, at_row = np.rint(apply_homography(a.pixel_from_metres, points[here])).T
         at_column = np.clip(at_column.astype(np.int64), 0, share.shape[1] - 1)
         at_row = np.clip(at_row.astype(np.int64), 0, share.shape[0] - 1)
-        judged[here] = telling[at_row, at_column]
-        unlike[here] = judged[here] & (share[at_row, at_column] > _UNLIKE_SHARE)
+        judged[here] = informative[at_row, at_column]
+        unlike[here] = judged[here] & (share[at_row, at_column] > _MIN_UNLIKE_SHARE)
     return ObstacleMask(
         invert(metres_from_cell),
         judged.reshape(rows, columns),
-        _in_company(unlike.reshape(rows, columns)),
+        _without_lone_cells(unlike.reshape(rows, columns)),
     )
 
 
-def _in_company(unlike: BoolArray) -> BoolArray:
-    """Leave out cells that no neighbour bears out: a thing is larger than one of them."""
+def _without_lone_cells(unlike: BoolArray) -> BoolArray:
+    """Leave out cells without an unlike neighbour: an obstacle is larger than one cell."""
     around = cv2.boxFilter(
         unlike.astype(np.uint8), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT
     )
@@ -131,10 +133,10 @@ def _resolved(calibration: Calibration, points: Float64Array) -> Float64Array:
 def _compare(
     a: PyramidLevel, b: PyramidLevel, view_a_from_view_b: Float64Array
 ) -> tuple[BoolArray, Float32Array]:
-    """Return which windows of a level tell something, and what share of it differs, at its best.
+    """Return which windows of a level are informative, and the share of each that differs.
 
-    The share is of the squares of what both show: 1 for windows that have nothing to do with each
-    other.
+    The share is of the energy of both windows, at the shift with the least difference: 1 for
+    unrelated windows.
     """
     b_pixel_from_a_pixel = (
         b.pixel_from_metres @ invert(view_a_from_view_b) @ invert(a.pixel_from_metres)
@@ -146,28 +148,32 @@ def _compare(
     both = ((seen == 255) & (a.inside == 255)).astype(np.float32)
     first, reach = a.detail * both, _SHIFT_PIXELS
     framed = np.pad(moved * both, reach)
-    least = np.full(first.shape, np.inf, np.float32)
-    left = least.copy()
+    min_share = np.full(first.shape, np.inf, np.float32)
+    min_difference = min_share.copy()
     height, width = first.shape
     for down in range(2 * reach + 1):
         for right in range(2 * reach + 1):
             second = framed[down : down + height, right : right + width]
             energy = _mean(first * first) + _mean(second * second)
             difference = _mean((first - second) ** 2)
-            least = np.minimum(least, difference / np.maximum(energy, np.float32(1e-6)))
-            left = np.minimum(left, difference)
+            min_share = np.minimum(min_share, difference / np.maximum(energy, np.float32(1e-6)))
+            min_difference = np.minimum(min_difference, difference)
     whole = _mean(both) > np.float32(0.999)
     dark = np.asarray(
         cv2.warpPerspective(b.image, b_pixel_from_a_pixel, size, flags=flags), np.uint8
     )
-    raised = _mean(pyramid.noise_gain(a.image) ** 2), _mean(pyramid.noise_gain(dark) ** 2)
-    # Most of what both see is floor, where what is left is noise.
-    noise = float(np.median((left / (raised[0] + raised[1]))[whole])) if whole.any() else 0.0
-    telling = np.zeros_like(whole)
-    for shown, times in ((first, raised[0]), (moved * both, raised[1])):
-        min_shown = np.maximum(_TELLING_NOISES * noise * times, np.float32(_TELLING_GRAY**2))
-        telling |= _variance(shown) > min_shown
-    return np.asarray(whole & telling), least
+    gains = _mean(pyramid.noise_gain(a.image) ** 2), _mean(pyramid.noise_gain(dark) ** 2)
+    # Most of what both see is floor, where the difference is noise.
+    noise = (
+        float(np.median((min_difference / (gains[0] + gains[1]))[whole])) if whole.any() else 0.0
+    )
+    informative = np.zeros_like(whole)
+    for shown, gain in ((first, gains[0]), (moved * both, gains[1])):
+        min_shown = np.maximum(
+            _MIN_NOISE_VARIANCES * noise * gain, np.float32(_MIN_DEVIATION_GRAY**2)
+        )
+        informative |= _variance(shown) > min_shown
+    return np.asarray(whole & informative), min_share
 
 
 def _variance(values: Float32Array) -> Float32Array:

@@ -1,4 +1,4 @@
-"""Floors that repeat: by which shifts a view looks like itself."""
+"""Periodicity of a floor: the shifts by which a view looks like itself."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.records import PyramidLevel
 from slamcli.stages.dense.correlation_search import autocorrelation
 
+# A shift is a period from this correlation on, and where this share of the view still overlaps
+# [guarded by benchmarks/robustness.py: tiles, identical-tiles].
 _MIN_CORRELATION = 0.7
 _MIN_OVERLAP = 0.3
-# Within so many pixels of no shift at all everything looks like itself.
+# Within this many pixels of no shift every view looks like itself.
 _OWN_PEAK_PIXELS = 5
 _MAX_SHIFTS = 3
 _AROUND = np.ones((5, 5), np.uint8)

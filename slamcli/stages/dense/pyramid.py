@@ -1,4 +1,4 @@
-"""A view's pyramid, each level ready to be compared pixel by pixel."""
+"""The image pyramid of a view, each level ready for photometric comparison."""
 
 from __future__ import annotations
 
@@ -14,18 +14,22 @@ from slamcli.core.records import PyramidLevel, View
 from slamcli.core.robust import NORMAL_MEDIAN
 
 # From half the view's resolution on, which already resolves hundredths of a pixel, down to where a
-# search over every rotation and translation costs some tens of milliseconds.
+# search over every rotation and translation costs some tens of milliseconds
+# [benchmarks/stages.py; guarded by benchmarks/accuracy.py].
 _MIN_LEVELS = 2
 _MAX_LEVELS = 6
 _MAX_COARSEST_PIXELS = 20_000
 _MAX_TEMPLATE_PIXELS = 15_000
 _HIGH_PASS_SIZE = (25, 25)
+# Share of the high-pass's window that must be seen: elsewhere views differ in its mean
+# [guarded by benchmarks/robustness.py: course].
 _MIN_WINDOW_SHARE = 0.7
 _SAMPLE_STEP = 16
 _NOISE_KERNEL = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 _CONTRAST_PIXELS = 5.0
-# What is flatter than this is noise; its contrast is not to be raised to that of a line. It is not
-# measured by the picture's own contrast, which may be that of a dark thing on a pale floor.
+# What is flatter than this is noise; its contrast is not to be raised to that of a line. Absolute,
+# as the picture's own contrast may be that of a dark obstacle on a pale floor
+# [guarded by benchmarks/robustness.py: noise and legs on bare].
 _MIN_CONTRAST_GRAY = 1.0
 _NOISE_TIMES = 3.0
 # White noise, halved once and smoothed as the detail is, leaves its deviation over 1.57; the median
@@ -34,7 +38,8 @@ _NOISE_FACTOR = 1.57 / NORMAL_MEDIAN
 _HALVED_NOISE = 0.48
 # pyrDown keeps even pixels, so a level's pixel is half the one before's.
 _HALVE = np.diag([0.5, 0.5, 1.0])
-# So much is added first, as the noise of the dark would else be all there is to see.
+# Added before the logarithm, which would otherwise amplify the noise of dark pixels
+# [guarded by benchmarks/robustness.py: noise, flicker].
 _DARK_GRAY = 16.0
 _REMAP_COLUMNS = 256
 # In gray levels at the middle of the range.
@@ -43,7 +48,7 @@ _LOGARITHM = ((128.0 + _DARK_GRAY) * np.log(np.arange(256) + _DARK_GRAY)).astype
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevelMask:
-    """What a level of every view needs to know of where floor is seen; the same for all frames.
+    """Where a pyramid level sees floor, with derived weights; the same for all frames of a camera.
 
     Attributes
     ----------
@@ -52,13 +57,13 @@ class LevelMask:
     seen : (h, w) float32
         1 there, else 0.
     share : (h, w) float32
-        Of the high-pass's window about a pixel that was seen, and not less than a little.
+        Of the high-pass's window around a pixel, what was seen; at least 0.001.
     inside : (h, w) uint8
         255 where the detail and its gradient are free of the mask's border.
     weight : (h, w) float32
         1 there, else 0.
     near : (h, w) float32
-        The weight, smoothed as the contrast is, and not less than a little.
+        The weight, smoothed as the contrast is; at least 0.001.
     """
 
     mask: UInt8Array
@@ -69,80 +74,80 @@ class LevelMask:
     near: Float32Array
 
 
-def make_stencils(mask: UInt8Array) -> tuple[LevelMask, ...]:
-    """Return the stencils of all levels of views that see floor where (h, w) `mask` is 255."""
-    return stencils_from_half(_halved(mask))
+def make_level_masks(mask: UInt8Array) -> tuple[LevelMask, ...]:
+    """Return the masks of all levels of views that see floor where (h, w) `mask` is 255."""
+    return level_masks_from_half(_halved(mask))
 
 
 def make_levels(
-    view: View, stencils: Sequence[LevelMask] | None = None
+    view: View, level_masks: Sequence[LevelMask] | None = None
 ) -> tuple[PyramidLevel, ...]:
-    """Return a gray view's pyramid, from half resolution on, with what tells most at each level.
+    """Return a gray view's pyramid, from half resolution on, with each level's strongest gradients.
 
     The last level is small enough to be searched whole.
 
     Parameters
     ----------
     view : View
-    stencils : sequence of LevelMask or None
-        From `make_stencils` of the view's mask, where they are at hand.
+    level_masks : sequence of LevelMask or None
+        From `make_level_masks` of the view's mask, where that was done before.
     """
-    if stencils is None:
-        stencils = make_stencils(view.mask)
-    return _levels(_halved(view.image), stencils, view.grid, view.frame_noise_gray)
+    if level_masks is None:
+        level_masks = make_level_masks(view.mask)
+    return _levels(_halved(view.image), level_masks, view.grid, view.frame_noise_gray)
 
 
 def levels_from_half(
-    image: UInt8Array, stencils: Sequence[LevelMask], grid: Grid
+    image: UInt8Array, level_masks: Sequence[LevelMask], grid: Grid
 ) -> tuple[PyramidLevel, ...]:
-    """Return the pyramid of a view of which only its first level, at half resolution, is kept.
+    """Return the pyramid of a view from its first level, at half resolution.
 
     Parameters
     ----------
     image : (h, w) uint8
-    stencils : sequence of LevelMask
-        From `stencils_from_half`.
+    level_masks : sequence of LevelMask
+        From `level_masks_from_half`.
     grid : Grid
         Of the whole view.
     """
-    return _levels(image, stencils, grid, 0.0)
+    return _levels(image, level_masks, grid, 0.0)
 
 
 def _levels(
-    image: UInt8Array, stencils: Sequence[LevelMask], grid: Grid, frame_noise_gray: float
+    image: UInt8Array, level_masks: Sequence[LevelMask], grid: Grid, frame_noise_gray: float
 ) -> tuple[PyramidLevel, ...]:
     levels: list[PyramidLevel] = []
     pixel_from_metres, metres_per_pixel = grid.pixel_from_metres, grid.metres_per_pixel
-    for stencil in stencils:
+    for level_mask in level_masks:
         pixel_from_metres, metres_per_pixel = _HALVE @ pixel_from_metres, 2.0 * metres_per_pixel
         noise_gray = None
         if levels:
             image, noise_gray = _halved(image), _HALVED_NOISE * levels[-1].noise_gray
         levels.append(
             _level(
-                image, stencil, pixel_from_metres, metres_per_pixel, frame_noise_gray, noise_gray
+                image, level_mask, pixel_from_metres, metres_per_pixel, frame_noise_gray, noise_gray
             )
         )
     return tuple(levels)
 
 
-def stencils_from_half(mask: UInt8Array) -> tuple[LevelMask, ...]:
-    """Return the stencils of all levels, by the mask (h, w) of the first."""
-    stencils = [_stencil(mask)]
-    while len(stencils) < _MAX_LEVELS and (
-        len(stencils) < _MIN_LEVELS or np.count_nonzero(mask == 255) > _MAX_COARSEST_PIXELS
+def level_masks_from_half(mask: UInt8Array) -> tuple[LevelMask, ...]:
+    """Return the masks of all levels, from the (h, w) mask of the first."""
+    level_masks = [_level_mask(mask)]
+    while len(level_masks) < _MAX_LEVELS and (
+        len(level_masks) < _MIN_LEVELS or np.count_nonzero(mask == 255) > _MAX_COARSEST_PIXELS
     ):
         mask = _halved(mask)
-        stencils.append(_stencil(mask))
-    return tuple(stencils)
+        level_masks.append(_level_mask(mask))
+    return tuple(level_masks)
 
 
-def _stencil(mask: UInt8Array) -> LevelMask:
+def _level_mask(mask: UInt8Array) -> LevelMask:
     seen = (mask == 255).astype(np.float32)
     share = np.asarray(cv2.blur(seen, _HIGH_PASS_SIZE))
-    # The outermost ring's gradient would be that of the mask, not of the floor.
+    # The gradient of the outermost ring is that of the mask, not of the floor.
     eroded = np.asarray(cv2.erode((mask == 255).astype(np.uint8), np.ones((5, 5))))
-    # Where the border cuts much off the mean's window, another view's mean is another.
+    # Where the border cuts much off the window of the mean, the means of two views differ.
     whole = (eroded > 0) & (share >= _MIN_WINDOW_SHARE)
     weight = whole.astype(np.float32)
     near = np.asarray(cv2.GaussianBlur(weight, (0, 0), _CONTRAST_PIXELS))
@@ -163,31 +168,31 @@ def _halved(picture: UInt8Array) -> UInt8Array:
 
 def _level(
     image: UInt8Array,
-    stencil: LevelMask,
+    level_mask: LevelMask,
     pixel_from_metres: Float64Array,
     metres_per_pixel: float,
     frame_noise_gray: float,
     noise_gray: float | None,
 ) -> PyramidLevel:
-    detail = _detail(image, stencil)
+    detail = _detail(image, level_mask)
     if noise_gray is None:
-        noise_gray = _noise(detail, stencil.inside)
+        noise_gray = _noise(detail, level_mask.inside)
     right, up = slopes(detail, metres_per_pixel)
-    chosen = _most_telling((right * right + up * up) * stencil.weight)
+    chosen = _strongest_gradients((right * right + up * up) * level_mask.weight)
     rows, columns = np.unravel_index(chosen, detail.shape)
     points = apply_homography(invert(pixel_from_metres), np.column_stack([columns, rows]))
     gradients = np.column_stack([right.ravel()[chosen], up.ravel()[chosen]]).astype(np.float64)
     values = detail.ravel()[chosen].astype(np.float64)
-    normalised = _normalised(detail, stencil, noise_gray)
-    whole = max(float(cv2.countNonZero(stencil.inside)), 1.0)
+    normalised = _normalised(detail, level_mask, noise_gray)
+    whole = max(float(cv2.countNonZero(level_mask.inside)), 1.0)
     return PyramidLevel(
         pixel_from_metres,
         metres_per_pixel,
         image,
-        stencil.mask,
+        level_mask.mask,
         detail,
-        stencil.inside,
-        stencil.weight,
+        level_mask.inside,
+        level_mask.weight,
         points,
         values,
         gradients,
@@ -198,10 +203,10 @@ def _level(
     )
 
 
-def _normalised(detail: Float32Array, stencil: LevelMask, noise_gray: float) -> Float32Array:
+def _normalised(detail: Float32Array, level_mask: LevelMask, noise_gray: float) -> Float32Array:
     """Return the detail with its local contrast evened out; 0 outside."""
-    values = detail * stencil.weight
-    variance = cv2.GaussianBlur(values * values, (0, 0), _CONTRAST_PIXELS) / stencil.near
+    values = detail * level_mask.weight
+    variance = cv2.GaussianBlur(values * values, (0, 0), _CONTRAST_PIXELS) / level_mask.near
     floor = np.float32((_MIN_CONTRAST_GRAY + _NOISE_TIMES * noise_gray) ** 2)
     return np.asarray(values / np.sqrt(variance + floor), np.float32)
 
@@ -209,26 +214,26 @@ def _normalised(detail: Float32Array, stencil: LevelMask, noise_gray: float) -> 
 def _noise(detail: Float32Array, inside: UInt8Array) -> float:
     """Return about one standard deviation of the camera's noise in a level's detail.
 
-    The median of what neither planes nor edges leave (Immerkaer, Computer Vision and Image
-    Understanding 64, 1996). Fine texture of the floor passes for noise, and is as strong.
+    The median of what remains without planes and edges (Immerkaer, Computer Vision and Image
+    Understanding 64, 1996). It counts fine texture of the floor as noise.
     """
-    left = np.abs(np.asarray(cv2.filter2D(detail, cv2.CV_32F, _NOISE_KERNEL)))[inside == 255]
-    return _NOISE_FACTOR * float(np.median(left)) if left.size else 0.0
+    remaining = np.abs(np.asarray(cv2.filter2D(detail, cv2.CV_32F, _NOISE_KERNEL)))[inside == 255]
+    return _NOISE_FACTOR * float(np.median(remaining)) if remaining.size else 0.0
 
 
-def _detail(image: UInt8Array, stencil: LevelMask) -> Float32Array:
-    """Take out a picture's slow brightness, which belongs to lamp and lens.
+def _detail(image: UInt8Array, level_mask: LevelMask) -> Float32Array:
+    """Return a picture without its low frequencies of brightness, which are of lamp and lens.
 
-    Both multiply: the logarithm makes that a sum, of which the high-pass leaves nothing. Without
-    it a plain line would show the lens's vignetting, which does not move when the robot does.
+    Both are factors: the logarithm makes them terms, which the high-pass removes. Without it a
+    plain line would show the lens's vignetting, which does not move when the robot does.
     """
-    values = np.asarray(cv2.LUT(image, _LOGARITHM)) * stencil.seen
-    mean = np.asarray(cv2.blur(values, _HIGH_PASS_SIZE)) / stencil.share
-    return np.asarray(cv2.GaussianBlur((values - mean) * stencil.seen, (3, 3), 0), np.float32)
+    values = np.asarray(cv2.LUT(image, _LOGARITHM)) * level_mask.seen
+    mean = np.asarray(cv2.blur(values, _HIGH_PASS_SIZE)) / level_mask.share
+    return np.asarray(cv2.GaussianBlur((values - mean) * level_mask.seen, (3, 3), 0), np.float32)
 
 
 def noise_gain(image: UInt8Array) -> Float32Array:
-    """Return by how much a level's detail raises each pixel's noise: more where it is dark."""
+    """Return the factor by which a level's detail amplifies each pixel's noise: more where dark."""
     middle = np.float32(128.0 + _DARK_GRAY)
     return np.asarray(middle / (image.astype(np.float32) + np.float32(_DARK_GRAY)))
 
@@ -242,7 +247,7 @@ def slopes(detail: Float32Array, metres_per_pixel: float) -> tuple[Float32Array,
     return np.asarray(right, np.float32), np.asarray(up, np.float32)
 
 
-def _most_telling(strength: Float32Array) -> Int64Array:
+def _strongest_gradients(strength: Float32Array) -> Int64Array:
     """Return flat indices of the strongest gradients, by a sample of their distribution."""
     flat = strength.ravel()
     weaker = 1.0 - _MAX_TEMPLATE_PIXELS / flat.size

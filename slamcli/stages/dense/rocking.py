@@ -1,4 +1,4 @@
-"""A camera that rocks: by how much its views show the floor elsewhere."""
+"""A camera that rocks: how its views shift the floor, and whether residuals suggest rocking."""
 
 from __future__ import annotations
 
@@ -10,9 +10,21 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.mounting import image_from_robot_homography
 from slamcli.core.geometry import apply_homography
+from slamcli.core.records import PyramidLevel
+from slamcli.stages.dense.covariance import FitState, NormalEquations
 
-# A robot that rocks by a radian bounces by so many times its camera's height.
+# A robot that rocks by a radian bounces by this many times its camera's height
+# [guarded by benchmarks/robustness.py: rocking].
 _HEIGHT_SHARE_PER_RADIAN = 3.0
+# Rocking is suspected where it would make the weighted squares fall by this, and move a point at
+# the far end by this many pixels. Over plain lines a steady camera reaches either now and then
+# [guarded by tests/registration/test_dense.py: pairs that rock by 0.1 degrees, and steady ones].
+_MIN_GAIN = 20.0
+_MIN_CHANGE_PIXELS = 0.25
+# The squared deviations of pitch, roll and height of two frames that rock as expected, in sigmas,
+# add up to about six; what both frames have in common hardly shows, and stays at nothing.
+_MAX_SQUARED_SIGMAS = 6.0
+_MAX_TEST_POINTS = 4000
 
 
 def mounting_sigmas(calibration: Calibration, tilt_sigma_radians: float) -> Float64Array:
@@ -24,7 +36,10 @@ def mounting_sigmas(calibration: Calibration, tilt_sigma_radians: float) -> Floa
 
 
 def shown_from_floor(calibration: Calibration, mounting: Float64Array) -> Float64Array:
-    """Return (3, 3): where a view made by the calibration shows the floor of a tilted frame."""
+    """Return (3, 3), metres to metres: where a view shows the floor of a tilted frame.
+
+    `mounting` (3,) is what its pitch, roll and height differ from the calibration's by.
+    """
     if not np.any(mounting):
         return np.eye(3)
     tilted = image_from_robot_homography(
@@ -73,3 +88,69 @@ def slopes(
     slopes_a = shifts_a[:, 0] * gradients_a[:, 0] + shifts_a[:, 1] * gradients_a[:, 1]
     slopes_b = shifts_b[:, 0] * gradients_b[:, 0] + shifts_b[:, 1] * gradients_b[:, 1]
     return np.concatenate([-slopes_a, slopes_b])
+
+
+def exceeds_sigmas(state: FitState, sigmas: Float64Array) -> bool:
+    """Return whether the rocking that was estimated is more than its (K,) sigmas let expect."""
+    deviation = np.concatenate([state.mounting_a, state.mounting_b])
+    return float(np.sum((deviation / np.tile(sigmas, 2)) ** 2)) > _MAX_SQUARED_SIGMAS
+
+
+def explains_residuals(
+    b: PyramidLevel, solved: NormalEquations, calibration: Calibration, tilt_sigma_radians: float
+) -> bool:
+    """Return whether rocking would explain much of a steady camera's residuals.
+
+    A Gauss-Newton step with either frame's tilt and height beside the motion gives by how much the
+    squares would fall (a score test: Rao, Proc. Cambridge Phil. Soc. 44, 1948) and the motion
+    change.
+
+    Parameters
+    ----------
+    b : PyramidLevel
+    solved : NormalEquations
+        Of a steady camera's refinement on that level.
+    calibration : Calibration
+    tilt_sigma_radians : float
+    """
+    sigmas = mounting_sigmas(calibration, tilt_sigma_radians)
+    if not len(sigmas):
+        return False
+    sampled = slice(None, None, -(-len(solved.points) // _MAX_TEST_POINTS))
+    points_b = solved.points[sampled]
+    residual, weight = solved.residual[sampled], solved.weight[sampled]
+    steady = solved.jacobian[sampled]
+    rocking = _slopes_of_rocking(solved, steady, points_b, calibration, sigmas)
+    jacobian = np.vstack([steady.T, rocking]).T
+    # The sample represents all points.
+    share = len(solved.points) / len(points_b)
+    count = steady.shape[1]
+    information = share * jacobian.T @ (jacobian * weight[:, None])
+    information[:count, :count] += solved.prior
+    information[count:, count:] += np.eye(2 * len(sigmas))
+    gradient = share * jacobian.T @ (weight * residual)
+    try:
+        step = np.linalg.solve(information, gradient)
+        alone = np.linalg.solve(information[:count, :count], gradient[:count])
+    except np.linalg.LinAlgError:
+        return False
+    gain = float(gradient @ step - gradient[:count] @ alone)
+    change = step[:3] - alone[:3]
+    moved = math.hypot(change[0], change[1]) + abs(change[2]) * float(np.abs(points_b).max())
+    return bool(gain > _MIN_GAIN and moved > _MIN_CHANGE_PIXELS * b.metres_per_pixel)
+
+
+def _slopes_of_rocking(
+    solved: NormalEquations,
+    steady: Float64Array,
+    points_b: Float64Array,
+    calibration: Calibration,
+    sigmas: Float64Array,
+) -> Float64Array:
+    """Return (2 K, N): how residuals whose (N, 5) slopes are `steady` change with rocking."""
+    gradients_b = -steady[:, :2]
+    gradients_a = gradients_b @ solved.state.a_from_b.matrix[:2, :2].T
+    shown_from_floor = shown_from_floor_by_each(calibration, sigmas)
+    shifts_a = shifts(shown_from_floor, solved.state.a_from_b.apply(points_b))
+    shifts_b = shifts(shown_from_floor, points_b)
+    return slopes(gradients_a, gradients_b, shifts_a, shifts_b)

@@ -1,0 +1,252 @@
+"""The selection among hypotheses: the order of the gates, and the verdict they come to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hand_made_records import alignment_of, fit_of, frame_of, pair_of
+
+from slamcli.core.arrays import Float64Array
+from slamcli.core.config import MapperOptions
+from slamcli.core.geometry import Pose2
+from slamcli.registration import hypotheses
+from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair
+from slamcli.registration.result import ACCEPTED, RegistrationResult, Verdict
+from slamcli.registration.selection import PairContext
+from slamcli.simulation import photograph
+from slamcli.simulation.config import CameraOptions
+
+CALIBRATION = photograph.make_camera(CameraOptions(size=(400, 300)))
+PAIR = pair_of()
+HERE, ELSEWHERE = Pose2(0.05), Pose2(0.35)
+OPEN = (0.001, 0.2, 0.001)
+
+
+def context_of(
+    inliers: int = 20,
+    options: MapperOptions | None = None,
+    repeats: Float64Array | None = None,
+    reason: str = "",
+) -> PairContext:
+    return PairContext(
+        frame_of(3),
+        frame_of(4, repeats),
+        alignment_of(inliers, HERE, reason),
+        CALIBRATION,
+        MapperOptions() if options is None else options,
+        0.2,
+    )
+
+
+@pytest.fixture
+def votes(monkeypatch: pytest.MonkeyPatch) -> Callable[[bool], None]:
+    """Set whether patches prefer the best motion to every rival."""
+
+    def vote(preferred: bool) -> None:
+        monkeypatch.setattr(hypotheses, "preferred_by_patches", lambda pair, fit, rival: preferred)
+
+    vote(False)
+    return vote
+
+
+def chosen(
+    context: PairContext, *fits: MotionHypothesis, by_features: MotionHypothesis | None = None
+) -> RegistrationResult:
+    return context.choose(PAIR, fits, by_features, None)
+
+
+def test_the_verdict_of_a_gate_is_rejected_with_its_reason_or_accepted() -> None:
+    assert Verdict.of("") == ACCEPTED == Verdict("accepted")
+    assert Verdict.of("too far") == Verdict("rejected", "too far")
+
+
+def test_an_accepted_motion_becomes_a_link() -> None:
+    fit = fit_of(HERE)
+    result = context_of(30).result(fit, ACCEPTED)
+    assert result.link is not None
+    assert (result.link.a, result.link.b, result.link.kind) == (3, 4, "step")
+    assert result.link.inliers == 30
+    assert result.link.score == result.score
+    assert (result.fit, result.partial, result.reason) == (fit, None, "")
+    assert math.isnan(result.rival)
+
+
+def test_a_motion_that_the_pixels_chose_is_no_motion_of_inliers() -> None:
+    link = context_of(30).result(fit_of(HERE), ACCEPTED, 0.2).link
+    assert link is not None
+    assert link.inliers == 0
+
+
+def test_a_partial_motion_becomes_a_partial_link_and_keeps_its_reason() -> None:
+    result = context_of().result(fit_of(HERE), Verdict("partial", "open"), 0.1)
+    assert result.link is None
+    assert result.partial is not None
+    assert result.partial.kind == "partial"
+    assert result.reason == "open (to frame 3)"
+
+
+@pytest.mark.parametrize("verdict", [Verdict("rejected", "no"), Verdict("inconclusive", "no")])
+def test_any_other_motion_becomes_no_link(verdict: Verdict) -> None:
+    result = context_of().result(fit_of(HERE), verdict)
+    assert (result.link, result.partial, result.reason) == (None, None, "no (to frame 3)")
+    assert result.evidence is not None
+
+
+def test_without_any_fit_the_features_reason_is_given() -> None:
+    assert chosen(context_of(reason="3 matches")).reason == "3 matches (to frame 3)"
+    result = chosen(context_of())
+    assert result.reason == "the pixels determine no motion (to frame 3)"
+    assert (result.fit, result.evidence, result.score) == (None, None, 0.0)
+    assert result.rival == 1.0
+
+
+def test_the_motion_with_the_most_evidence_is_chosen(votes: Callable[[bool], None]) -> None:
+    weak, strong = fit_of(ELSEWHERE, evidence=70.0), fit_of(HERE, evidence=100.0)
+    result = chosen(context_of(), weak, strong)
+    assert result.link is not None
+    assert result.fit is strong
+    assert result.rival == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize(("share", "ambiguous"), [(0.75, False), (0.751, True)])
+def test_a_rival_that_patches_do_not_rule_out_makes_it_ambiguous(
+    votes: Callable[[bool], None], share: float, ambiguous: bool
+) -> None:
+    rival = fit_of(ELSEWHERE, evidence=100.0 * share)
+    result = chosen(context_of(), rival, fit_of(HERE, evidence=100.0))
+    assert result.reason.startswith("ambiguous") is ambiguous
+    assert result.rival == pytest.approx(share)
+    votes(True)
+    result = chosen(context_of(), rival, fit_of(HERE, evidence=100.0))
+    assert result.link is not None
+    assert result.rival == pytest.approx(0.0 if ambiguous else share)
+
+
+def test_a_rival_is_one_even_where_nothing_is_evidence(votes: Callable[[bool], None]) -> None:
+    result = chosen(context_of(), fit_of(HERE, evidence=0.0), fit_of(ELSEWHERE, evidence=0.0))
+    assert result.rival == 1.0
+    assert result.reason.startswith("ambiguous")
+
+
+def test_an_open_motion_is_partial_and_no_motion_along_it_is_its_rival(
+    votes: Callable[[bool], None],
+) -> None:
+    best = fit_of(HERE, sigmas=OPEN)
+    along, across = Pose2(0.05, 0.5), Pose2(0.35)
+    result = chosen(context_of(), best, fit_of(along, evidence=99.0))
+    assert result.link is None
+    assert result.partial is not None
+    assert result.rival == 0.0
+    result = chosen(context_of(), best, fit_of(across, evidence=99.0))
+    assert (result.link, result.partial) == (None, None)
+    assert result.reason.startswith("ambiguous")
+
+
+def test_an_open_motion_that_a_gate_rejects_is_no_partial_link() -> None:
+    result = chosen(context_of(), fit_of(HERE, sigmas=OPEN, overlap=0.05))
+    assert (result.link, result.partial) == (None, None)
+    assert result.reason.startswith("the fit leaves an overlap")
+
+
+@pytest.mark.parametrize(("inliers", "linked"), [(36, True), (35, False)])
+def test_enough_features_back_an_open_motion_of_dissimilar_pixels(
+    votes: Callable[[bool], None], inliers: int, linked: bool
+) -> None:
+    fit = fit_of(HERE, sigmas=OPEN, correlation=0.4, confirmed=0.4)
+    result = chosen(context_of(inliers), by_features=fit)
+    assert (result.link is not None) is linked
+    if not linked:
+        assert result.reason.startswith("the views are too dissimilar")
+
+
+@pytest.mark.parametrize(("inliers", "rejected"), [(119, False), (120, True)])
+def test_pixels_do_not_outvote_enough_features(
+    votes: Callable[[bool], None], inliers: int, rejected: bool
+) -> None:
+    features = fit_of(HERE, evidence=10.0)
+    result = chosen(context_of(inliers), fit_of(ELSEWHERE), by_features=features)
+    assert (result.link is None) is rejected
+    if rejected:
+        assert result.reason.startswith("the pixels support another motion")
+
+
+def test_features_back_no_motion_that_contradicts_theirs(votes: Callable[[bool], None]) -> None:
+    features = fit_of(HERE, evidence=10.0)
+    dissimilar = fit_of(ELSEWHERE, correlation=0.4, confirmed=0.4)
+    result = chosen(context_of(36), dissimilar, by_features=features)
+    assert result.fit is dissimilar
+    assert result.reason.startswith("the views are too dissimilar")
+
+
+@pytest.mark.parametrize(("step", "linked"), [(0.05, True), (0.049, False)])
+def test_no_motion_is_farther_than_a_step(step: float, linked: bool) -> None:
+    options = MapperOptions(max_step_metres=step)
+    result = chosen(context_of(options=options), fit_of(HERE))
+    assert (result.link is not None) is linked
+
+
+def test_motions_of_obstacles_are_left_out_where_features_back_another(
+    votes: Callable[[bool], None],
+) -> None:
+    features = fit_of(HERE, confirmed=0.3, evidence=50.0)
+    context = context_of(36)
+    # Elsewhere, and implausible: what obstacles make of the floor's motion.
+    result = chosen(context, fit_of(ELSEWHERE, confirmed=0.2), by_features=features)
+    assert result.fit is features
+    # Here, and obstructed as the features' own fit is.
+    nearby = fit_of(Pose2(0.06), confirmed=0.4, evidence=90.0)
+    assert chosen(context, nearby, by_features=features).fit is features
+    # Here, and most of the floor agrees: rocking was what made it disagree.
+    agreeing = replace(nearby, agreement=replace(nearby.agreement, confirmed=0.6))
+    assert chosen(context, agreeing, by_features=features).fit is agreeing
+    # Too few features back nothing.
+    assert chosen(context_of(35), nearby, by_features=features).fit is nearby
+
+
+@pytest.mark.parametrize(
+    ("alternative", "preferred", "step", "ambiguous"),
+    [
+        (fit_of(ELSEWHERE, evidence=80.0), False, None, True),
+        (fit_of(ELSEWHERE, evidence=70.0), False, None, False),
+        (fit_of(ELSEWHERE, evidence=80.0), True, None, False),
+        (fit_of(ELSEWHERE, evidence=80.0), False, 0.349, False),
+        (fit_of(ELSEWHERE, evidence=80.0), False, 0.35, True),
+    ],
+    ids=["alike", "weaker", "patches decide", "too far", "within a step"],
+)
+def test_a_floor_that_repeats_makes_a_motion_ambiguous(
+    monkeypatch: pytest.MonkeyPatch,
+    votes: Callable[[bool], None],
+    alternative: MotionHypothesis,
+    preferred: bool,
+    step: float | None,
+    ambiguous: bool,
+) -> None:
+    votes(preferred)
+    monkeypatch.setattr(hypotheses, "periodic_alternatives", lambda *given: [alternative])
+    options, repeats = MapperOptions(max_step_metres=step), np.array([[0.3, 0.0]])
+    context = context_of(options=options, repeats=repeats)
+    reason = context.check_period(PAIR, fit_of(HERE))
+    assert reason.startswith("ambiguous: the floor repeats") is ambiguous
+    assert bool(reason) is ambiguous
+    result = chosen(context, fit_of(HERE))
+    assert (result.link is None) is ambiguous
+    assert result.reason == (f"{reason} (to frame 3)" if ambiguous else "")
+    assert context_of(options=options).check_period(PAIR, fit_of(HERE)) == ""
+    far = PyramidPair(PAIR.a, PAIR.b, far=True)
+    assert context.check_period(far, fit_of(HERE)) == ""
+
+
+def test_a_period_along_the_open_direction_is_no_ambiguity(
+    monkeypatch: pytest.MonkeyPatch, votes: Callable[[bool], None]
+) -> None:
+    along = fit_of(Pose2(0.05, 0.3), evidence=90.0)
+    monkeypatch.setattr(hypotheses, "periodic_alternatives", lambda *given: [along])
+    context, best = context_of(repeats=np.array([[0.0, 0.3]])), fit_of(HERE, sigmas=OPEN)
+    assert context.check_period(PAIR, best, is_open=True) == ""
+    assert context.check_period(PAIR, best).startswith("ambiguous")
+    assert chosen(context, best).partial is not None
