@@ -39,7 +39,7 @@ def render(
     from slamcli.run.render import render as run_render
 
     with open_session(workers) as session:
-        lines, code = run_render(
+        report = run_render(
             run,
             frames,
             output or common.default_output(run, "render"),
@@ -47,5 +47,5 @@ def render(
             overwrite=overwrite,
             session=session,
         )
-    click.echo("\n".join(lines))
-    sys.exit(code)
+    click.echo("\n".join(report.lines))
+    sys.exit(report.exit_code)

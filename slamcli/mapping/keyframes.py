@@ -61,10 +61,8 @@ class KeyframeCache:
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
-        level_masks = lru_cache(maxsize=_MAX_MASKS)(partial(_level_masks, grid))
-        self._decoded = lru_cache(maxsize=_MAX_DECODED)(
-            partial(_decode_keyframe, grid, level_masks)
-        )
+        masks = lru_cache(maxsize=_MAX_MASKS)(partial(_level_masks, grid))
+        self._decoded = lru_cache(maxsize=_MAX_DECODED)(partial(_decode_keyframe, grid, masks))
 
     def __reduce__(self) -> tuple[type[KeyframeCache], tuple[Grid]]:
         return KeyframeCache, (self.grid,)

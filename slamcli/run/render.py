@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -18,6 +19,14 @@ from slamcli.run.paint.scene import scenes_of
 from slamcli.run.session.session import Session
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RenderReport:
+    """The lines of the closing table, and the exit code."""
+
+    lines: tuple[str, ...]
+    exit_code: ExitCode
+
+
 def render(
     run_folder: Path,
     frames: Path | None,
@@ -26,7 +35,7 @@ def render(
     *,
     overwrite: bool,
     session: Session,
-) -> tuple[list[str], ExitCode]:
+) -> RenderReport:
     """Paint the map of an earlier run into `output`; return the closing table and the exit code.
 
     Parameters
@@ -68,8 +77,9 @@ def render(
         lines.insert(0, painted.note)
     if session.interruption.happened:
         lines.insert(0, "interrupted: the map has only the tiles painted so far")
-        return lines, ExitCode.INTERRUPTED
-    return lines, ExitCode.INCOMPLETE if painted.unread else ExitCode.DONE
+        return RenderReport(tuple(lines), ExitCode.INTERRUPTED)
+    code = ExitCode.INCOMPLETE if painted.unread else ExitCode.DONE
+    return RenderReport(tuple(lines), code)
 
 
 def _folder(run_folder: Path) -> Path:

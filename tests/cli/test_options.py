@@ -32,6 +32,8 @@ ARGUMENTS = {
     "calibrate": ["frames/a.png"],
     "simulate": ["out"],
 }
+# Every command opens a session of its own: threads, a progress bar, what Ctrl-C sets.
+OF_THE_SESSION = {"workers", "progress", "notify", "interruption"}
 # These are of the refinement of a calibration alone, which --refine with a folder calls.
 REFINING = {("calibrate", "--calibration"), ("calibrate", "--workers")}
 WORK = [
@@ -171,7 +173,7 @@ def test_without_options_all_dataclasses_have_their_own_defaults(
     assert result.exit_code == 0, (result.output, result.exception)
     for value in calls[0][1]:
         if is_dataclass(value):
-            assert set(changed(value)) <= {"workers"}, value
+            assert set(changed(value)) <= OF_THE_SESSION, value
 
 
 @pytest.mark.parametrize("command", COMMANDS)
