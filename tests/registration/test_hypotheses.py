@@ -133,7 +133,9 @@ def test_periodic_alternatives_are_refined_motions_other_than_the_fit(
 def test_peaks_of_less_than_two_fifths_of_the_best_ones_evidence_are_not_followed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    peaks = {0.0: 100.0, 0.5: 40.0, 1.0: 39.9, 1.5: 90.0, 1.55: 89.0, 2.0: 80.0}
+    peaks = {0.0: 100.0, 0.5: 40.0, 1.0: 39.9, 1.5: 90.0, 1.55: 89.0, 2.0: 80.0, 2.5: 45.0}
+    # On the level of the search itself, refined.
+    refined = {**peaks, 1.0: 85.0, 2.5: 39.9}
     found = dense.Search(
         tuple(
             dense.Candidate(Pose2(x), 0.5, 0.5, peaks[x])
@@ -154,7 +156,7 @@ def test_peaks_of_less_than_two_fifths_of_the_best_ones_evidence_are_not_followe
     def evidence(
         a: PyramidLevel, b: PyramidLevel, pose: Pose2, matrix: Float64Array
     ) -> dense.Candidate:
-        return dense.Candidate(pose, 0.5, 0.5, peaks[pose.x])
+        return dense.Candidate(pose, 0.5, 0.5, refined[pose.x])
 
     monkeypatch.setattr(dense, "search", lambda a, b, window, min_overlap, count: found)
     monkeypatch.setattr(dense, "refine", lambda *given: None)

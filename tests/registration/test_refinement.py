@@ -231,6 +231,15 @@ def test_wide_rocking_starts_at_the_narrow_fit_that_correlates_better(scripted: 
                 START,
                 normalised_correlation=0.8,
                 correlation=0.8,
+                view_a_from_view_b=ROCKED,
+            ),
+            [0, 1],
+        ),
+        (
+            fit_of(
+                START,
+                normalised_correlation=0.8,
+                correlation=0.8,
                 rocking_suspected=True,
                 view_a_from_view_b=ROCKED,
             ),
@@ -298,6 +307,13 @@ def test_what_obstacles_pull_away_from_the_features_is_left_out(scripted: Script
         script = scripted(start, unsteady(confirmed=0.4), pulled, None, None)
         assert refined() is (pulled if kept else start)
         assert script.masks == 1
+
+
+def test_what_most_of_the_floor_agrees_with_is_kept_wherever_it_is(scripted: Scripted) -> None:
+    start = unsteady(confirmed=0.4)
+    moved = replace(steady_fit(), pose=Pose2(0.0701))
+    scripted(start, start, moved, None)
+    assert refined() is moved
 
 
 def test_obstacles_are_masked_anew_by_a_rocking_fit_that_correlates_better(

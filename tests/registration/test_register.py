@@ -57,9 +57,11 @@ class Steps:
     far: list[MotionHypothesis] = field(default_factory=list)
     taken: list[str] = field(default_factory=list)
     windows: list[dense.SearchWindow] = field(default_factory=list)
+    guesses: list[object] = field(default_factory=list)
 
     def align(self, *given: object) -> FeatureAlignment:
         guess = given[3]
+        self.guesses.append(guess)
         self.taken.append("match" if guess is None else "match near")
         return self.alignments[0] if len(self.alignments) == 1 else self.alignments.pop(0)
 
@@ -172,16 +174,35 @@ def test_plain_registration_by_features_needs_no_convincing_number(
     assert registered(None, WINDOW, options=options).link is not None
     assert registered(GUESS, options=options).link is not None
     assert "search near" not in steps.taken
-    scripted(inliers, fit_of(HERE, correlation=0.29, confirmed=0.49))
-    assert registered(options=options).reason.startswith("the pixels disagree")
+    steps = scripted(inliers, fit_of(HERE, correlation=0.29, confirmed=0.49))
+    for guess, window in ((None, None), (None, WINDOW), (GUESS, None)):
+        assert registered(guess, window, options=options).reason.startswith("the pixels disagree")
+    assert set(steps.taken) <= {"match", "match near", "refine features"}
 
 
-@pytest.mark.parametrize("by_features", [DISSIMILAR, CONTRADICTED, None])
+def test_beside_many_features_fewer_patches_need_to_agree(scripted: Scripted) -> None:
+    scripted(120, fit_of(HERE, correlation=0.29, confirmed=0.35))
+    assert registered().link is not None
+
+
+def test_many_features_on_a_floor_that_repeats_may_be_ambiguous(
+    scripted: Scripted, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scripted(120, CONVINCING)
+    alternatives = [fit_of(THERE, evidence=80.0)]
+    monkeypatch.setattr(hypotheses, "periodic_alternatives", lambda *given: alternatives)
+    assert registered(repeats=True).reason.startswith("ambiguous: the floor repeats")
+
+
+@pytest.mark.parametrize(
+    ("inliers", "by_features"),
+    [(50, DISSIMILAR), (50, CONTRADICTED), (119, CONTRADICTED), (50, None)],
+)
 def test_near_a_guess_the_pixels_decide_where_features_do_not(
-    scripted: Scripted, by_features: MotionHypothesis | None
+    scripted: Scripted, inliers: int, by_features: MotionHypothesis | None
 ) -> None:
     near_guess = fit_of(GUESS, evidence=200.0)
-    steps = scripted(50, by_features, near_guess=near_guess)
+    steps = scripted(inliers, by_features, near_guess=near_guess)
     result = registered(GUESS, WINDOW)
     assert result.link is not None
     assert result.fit is near_guess
@@ -199,18 +220,27 @@ def test_a_guess_that_the_features_motion_answers_is_not_refined(scripted: Scrip
     assert steps.taken == ["match near", "refine features", "refine guess"]
 
 
-@pytest.mark.parametrize("by_features", [DISSIMILAR, CONTRADICTED, None])
+@pytest.mark.parametrize(
+    ("inliers", "by_features"),
+    [(50, DISSIMILAR), (50, CONTRADICTED), (119, CONTRADICTED), (50, None)],
+)
 def test_in_a_window_the_pixels_are_searched_where_features_do_not_convince(
-    scripted: Scripted, by_features: MotionHypothesis | None
+    scripted: Scripted, inliers: int, by_features: MotionHypothesis | None
 ) -> None:
     found = fit_of(THERE, evidence=200.0)
-    steps = scripted(50, by_features, near=[found])
+    steps = scripted(inliers, by_features, near=[found])
     result = registered(window=WINDOW, options=MapperOptions(max_step_metres=0.6), far=True)
     assert result.link is not None
     assert result.fit is found
     assert result.search is FOUND
     assert steps.taken[-1] == "search near"
     assert steps.windows == [replace(WINDOW, max_displacement_metres=0.6)]
+
+
+def test_many_features_that_a_gate_contradicts_leave_it_to_the_pixels(scripted: Scripted) -> None:
+    steps = scripted(120, CONTRADICTED, near=[fit_of(Pose2(0.06), evidence=200.0)])
+    assert registered(window=WINDOW).link is not None
+    assert steps.taken == ["match", "refine features", "search near"]
 
 
 def test_a_search_competes_with_no_motion_that_no_robot_makes(scripted: Scripted) -> None:
@@ -278,6 +308,7 @@ def test_no_motion_is_expected_beside_a_guess_or_on_a_floor_that_repeats(
     steps = scripted(120, CONVINCING)
     registered(GUESS, expected=THERE)
     assert steps.taken == ["match near", "refine features"]
+    assert steps.guesses == [GUESS]
 
 
 @pytest.mark.parametrize(
