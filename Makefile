@@ -24,11 +24,11 @@ demo: $(VENV)/installed
 	$(BIN)/slam stitch samples/course/frames -c $(DEMO)/calibration.yaml -o $(DEMO)/map --overwrite
 
 test: $(VENV)/installed-dev lint
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
-# What is slow, too.
-test-all: $(VENV)/installed-dev lint
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m ""
+# And what is slow.
+test-all: test
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m slow
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check

@@ -130,6 +130,7 @@ def test_an_index_that_came_before_is_refused(photographer: photograph.Photograp
     assert len(mapper.estimates) == 1
 
 
+@pytest.mark.slow
 def test_a_bare_course_is_never_placed_by_its_own_symmetry() -> None:
     """Its lines and squares look the same again after a quarter or a half turn."""
     floor = floors.make_floor("course", 0.0, 0.001, seed=0)

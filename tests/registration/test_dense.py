@@ -95,6 +95,7 @@ def test_a_search_looks_within_its_window_alone() -> None:
         assert np.linalg.norm(apart) < 0.14
 
 
+@pytest.mark.slow
 def test_the_textureless_course_is_mapped_whole() -> None:
     """ORB and a similarity place hardly a frame of it."""
     camera, mapper = bare_course(), slamcli.Mapper(CALIBRATION)

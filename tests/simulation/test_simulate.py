@@ -27,6 +27,7 @@ def simulate(folder: Path, *arguments: str) -> None:
     assert result.exit_code == 0, result.output
 
 
+@pytest.mark.slow
 def test_a_floor_is_the_same_in_whatever_windows_it_is_read() -> None:
     for kind in floors.FLOORS:
         whole = floors.make_floor(kind, 0.5, 0.001, 1).region(Grid(-0.6, 0.6, 0.001, 700, 650))
@@ -109,6 +110,7 @@ def test_local_metres_become_degrees_as_on_the_ellipsoid() -> None:
     np.testing.assert_allclose(places, [[45.0, 8.0], [46.0, 7.0]], atol=2e-5)
 
 
+@pytest.mark.slow
 def test_a_simulation_is_the_same_twice_and_complete(tmp_path: Path) -> None:
     simulate(tmp_path / "a", "--boxes", "3", "--rocking", "0.2", "--motion-blur", "0.5")
     simulate(tmp_path / "b", "--boxes", "3", "--rocking", "0.2", "--motion-blur", "0.5")

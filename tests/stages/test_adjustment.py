@@ -256,6 +256,7 @@ def simulate(folder: Path, *arguments: object) -> Calibration:
     return true
 
 
+@pytest.mark.slow
 def test_a_drive_corrects_its_camera_and_its_map(tmp_path: Path) -> None:
     drive = tmp_path / "drive"
     true = simulate(drive, "--length", 1.2)
@@ -275,6 +276,7 @@ def test_a_drive_corrects_its_camera_and_its_map(tmp_path: Path) -> None:
     assert section["pixels_after"] < 0.2 < section["pixels_before"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera_name", ["camera.yaml", "wrong.yaml"])
 def test_a_straight_drive_leaves_the_camera_as_it_is(tmp_path: Path, camera_name: str) -> None:
     drive = tmp_path / "drive"
