@@ -63,6 +63,15 @@ def test_the_sample_is_mapped_to_its_truth(course_map: Path, samples_folder: Pat
     assert accuracy.worst_degrees < 0.3
 
 
+def test_the_sample_is_mapped_as_recorded(course_map: Path) -> None:
+    """A change that moves poses says so; other processors and library versions may by this much."""
+    recorded = read_poses(Path(__file__).parents[2] / "golden" / "course_poses.csv")
+    accuracy = compare(read_poses(course_map / "poses.csv"), recorded)
+    assert accuracy.placed == 40
+    assert accuracy.worst_metres < 1e-4
+    assert accuracy.worst_degrees < 0.005
+
+
 def test_the_mosaic_is_the_floor_at_its_place(course_map: Path, samples_folder: Path) -> None:
     mosaic = cv2.imread(str(course_map / "mosaic.png"), cv2.IMREAD_UNCHANGED)
     assert mosaic.shape[2] == 4
