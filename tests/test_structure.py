@@ -32,6 +32,7 @@ ONE_ROOM = {
     "distributed": ("run/session/cluster",),
     "gtsam": (),
     "pyproj": ("stages/geodesy",),
+    "simplejpeg": ("io/images/jpeg",),
     "rasterio": ("io/raster/geotiff",),
     "tqdm": ("cli/progress",),
     "click": ("cli",),
@@ -147,7 +148,7 @@ def loaded_by(statements: str) -> set[str]:
     return set(done.stderr.split())
 
 
-HEAVY = {"cv2", "numpy", "scipy", "gtsam", "imageio", "tqdm", "yaml"}
+HEAVY = {"cv2", "numpy", "scipy", "gtsam", "simplejpeg", "tqdm", "yaml"}
 RUN_MAIN = "from slamcli.cli.entry import main\ntry:\n    main()\nexcept SystemExit:\n    pass"
 
 

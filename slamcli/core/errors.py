@@ -15,6 +15,13 @@ class FrameError(SlamcliError):
     """One frame cannot be used; the run goes on and the text becomes that frame's reason."""
 
 
+def other_size(size: tuple[int, int], wanted: tuple[int, int]) -> FrameError:
+    """Return the error of a frame whose width and height are not those of the run's camera."""
+    return FrameError(
+        f"{size[0]}x{size[1]} pixels, but the run's camera has {wanted[0]}x{wanted[1]}"
+    )
+
+
 class CalibrationError(SlamcliError):
     """A calibration is missing, broken or does not fit, or a photo does not yield one."""
 

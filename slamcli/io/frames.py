@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
-import imageio.v3 as imageio
-import numpy as np
-
-from slamcli.core.arrays import BoolArray, UInt8Array
+from slamcli.core.arrays import UInt8Array
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.records import Frame
+from slamcli.io.images.decoding import Reading, decode, picture_size, read_bytes, sample_bits
 
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
 )
-MIN_SIDE_PIXELS = 16
+_DEEP_SUFFIXES = frozenset({".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff"})
+_MAX_SAMPLE_BITS = 16
 # A name such as 1446412345.250 is the time of capture in seconds since 1970 (TUM's convention).
 _EPOCH_NAME = re.compile(r"\d{9,10}\.\d+|\d{10}")
 
@@ -35,11 +32,17 @@ class FrameFile:
     path : Path
     stamp : float or None
         Seconds, from the name or the frame rate.
+    sample_bits : int
+        Range of samples of more than 8 bits, the same for all frames of a run.
+    camera_size : tuple of int or None
+        Width and height of the run's camera, pixels: no picture of another size is decoded.
     """
 
     index: int
     path: Path
     stamp: float | None
+    sample_bits: int = _MAX_SAMPLE_BITS
+    camera_size: tuple[int, int] | None = None
 
     @property
     def name(self) -> str:
@@ -83,9 +86,16 @@ def list_frames(sources: Sequence[Path], frame_rate: float | None = None) -> lis
     if not paths:
         suffixes = " ".join(sorted(IMAGE_SUFFIXES))
         raise InputError(f"no images in {', '.join(map(str, sources))}; looked for {suffixes}")
+    bits = _range_of(paths)
     return [
-        FrameFile(index, path, _stamp(path, index, frame_rate)) for index, path in enumerate(paths)
+        FrameFile(index, path, _stamp(path, index, frame_rate), bits)
+        for index, path in enumerate(paths)
     ]
+
+
+def of_camera(files: Sequence[FrameFile], size: tuple[int, int]) -> list[FrameFile]:
+    """Return the files, to be read as pictures of a camera of this width and height, pixels."""
+    return [replace(file, camera_size=size) for file in files]
 
 
 def read_frame(file: FrameFile, *, gray: bool = False, halved: bool = False) -> Frame:
@@ -99,37 +109,37 @@ def read_frame(file: FrameFile, *, gray: bool = False, halved: bool = False) -> 
         In colours, of half the size, more quickly: each pixel the mean of two by two. The mask
         stays whole.
     """
-    kind = cv2.IMREAD_REDUCED_COLOR_2 if halved else cv2.IMREAD_COLOR_BGR
-    image, mask = _decode(file.path, cv2.IMREAD_GRAYSCALE if gray else kind)
+    image, mask = _decoded(file, gray=gray, factor=2 if halved and not gray else 1)
     return Frame(file.index, file.name, file.stamp, image, mask)
 
 
 def read_reduced_gray(file: FrameFile) -> UInt8Array:
     """Return the frame as (h, w) gray of a quarter of its size, quickly; raises FrameError."""
-    try:
-        data = np.frombuffer(file.path.read_bytes(), np.uint8)
-        small = cv2.imdecode(data, cv2.IMREAD_REDUCED_GRAYSCALE_4) if data.size else None
-    except OSError as error:
-        raise FrameError(f"cannot be read: {error.strerror or error}") from error
-    except cv2.error as error:
-        raise FrameError("too many pixels to be decoded; save it smaller") from error
-    if small is None:
-        small = cv2.cvtColor(read_image(file.path), cv2.COLOR_BGR2GRAY)[::4, ::4]
-    return np.asarray(small, dtype=np.uint8)
+    return _decoded(file, gray=True, factor=4)[0]
+
+
+def read_size(path: Path) -> tuple[int, int]:
+    """Return the width and height that a picture's header declares, turned; raises FrameError."""
+    return picture_size(read_bytes(path))
 
 
 def read_image(path: Path) -> UInt8Array:
     """Return a picture as (H, W, 3) uint8 BGR, turned as its EXIF orientation says.
 
-    16-bit samples are cut to their upper 8 bits, gray is repeated, CMYK converted, and
-    transparency dropped.
+    Of 16-bit samples the upper 8 bits of the picture's range are kept (10, 12, 14 or 16 bits), gray
+    is repeated, CMYK converted, and transparency dropped.
 
     Raises
     ------
     FrameError
-        When the file is missing, empty, truncated, too small or no picture.
+        When the file is missing, empty, damaged, too small, too large or no picture.
     """
-    return _decode(path)[0]
+    return decode(read_bytes(path), Reading())[0]
+
+
+def _decoded(file: FrameFile, *, gray: bool, factor: int) -> tuple[UInt8Array, UInt8Array | None]:
+    reading = Reading(gray, factor, file.sample_bits, file.camera_size)
+    return decode(read_bytes(file.path), reading)
 
 
 def _pictures_in(folder: Path) -> list[Path]:
@@ -156,62 +166,20 @@ def _stamp(path: Path, index: int, frame_rate: float | None) -> float | None:
     return None if frame_rate is None else index / frame_rate
 
 
-def _decode(path: Path, kind: int = cv2.IMREAD_COLOR_BGR) -> tuple[UInt8Array, UInt8Array | None]:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FrameError(f"cannot be read: {error.strerror or error}") from error
-    if not data:
-        raise FrameError("the file is empty (0 bytes)")
-    try:
-        decoded = cv2.imdecode(np.frombuffer(data, np.uint8), kind)
-    except cv2.error as error:
-        raise FrameError("too many pixels to be decoded; save it smaller") from error
-    whole = decoded is not None and _ends_whole(data)
-    factor = 2 if kind == cv2.IMREAD_REDUCED_COLOR_2 else 1
-    image = np.asarray(decoded) if whole else _decode_strictly(data, factor)
-    height, width = factor * image.shape[0], factor * image.shape[1]
-    if min(height, width) < MIN_SIDE_PIXELS:
-        raise FrameError(f"{width}x{height} pixels is too small to show a floor")
-    return np.asarray(image, dtype=np.uint8), _transparency(data)
+def _range_of(paths: Sequence[Path]) -> int:
+    """Return the range of the frames' samples, bits: 12 bits in 16 are to be no black."""
+    first = _sample_bits(paths[0])
+    if first is None:
+        return _MAX_SAMPLE_BITS
+    # A first frame that is dark must not make the others white.
+    others = (_sample_bits(paths[number]) for number in {len(paths) // 2, len(paths) - 1})
+    return max(first, *(bits or 0 for bits in others))
 
 
-def _ends_whole(data: bytes) -> bool:
-    """Return whether a JPEG or PNG has its end marker; OpenCV decodes a truncated one silently."""
-    if data.startswith(b"\xff\xd8"):
-        return data.rstrip(b"\0").endswith(b"\xff\xd9")
-    if data.startswith(b"\x89PNG"):
-        return b"IEND" in data[-64:]
-    return True
-
-
-def _decode_strictly(data: bytes, factor: int) -> UInt8Array:
-    """Decode by Pillow, which refuses a truncated file, and shrink by `factor`.
-
-    Raises
-    ------
-    FrameError
-    """
-    try:
-        image = imageio.imread(io.BytesIO(data), index=0, plugin="pillow", mode="RGB", rotate=True)
-    except (OSError, SyntaxError, ValueError) as error:
-        if _ends_whole(data):
-            fault = "not an image, or of a kind that cannot be read; save it as PNG or JPEG"
-        else:
-            fault = "truncated: the end of the file is missing"
-        raise FrameError(fault) from error
-    small = cv2.resize(image, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
-    return np.ascontiguousarray(np.asarray(small, np.uint8)[..., ::-1])
-
-
-def _transparency(data: bytes) -> UInt8Array | None:
-    """Return the alpha channel of a PNG that has one which hides something."""
-    # Byte 25 of a PNG is its colour type; 4 and 6 carry alpha. No other needs a second decode.
-    if not data.startswith(b"\x89PNG") or len(data) < 26 or data[25] not in {4, 6}:
+def _sample_bits(path: Path) -> int | None:
+    if path.suffix.lower() not in _DEEP_SUFFIXES:
         return None
-    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if decoded is None or decoded.ndim != 3 or decoded.shape[2] != 4:
+    try:
+        return sample_bits(read_bytes(path))
+    except FrameError:  # it becomes the frame's reason when it is read
         return None
-    alpha = np.asarray(decoded)[..., 3]
-    opaque: BoolArray = np.asarray(alpha == (65535 if alpha.dtype == np.uint16 else 255))
-    return None if opaque.all() else np.where(opaque, np.uint8(255), np.uint8(0))

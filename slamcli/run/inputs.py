@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 from slamcli.core.camera.calibration import Calibration, top_down_calibration
 from slamcli.core.errors import CalibrationError, FrameError, InputError
 from slamcli.core.records import FloorMap, PoseEstimate
 from slamcli.io.calibrations import load_calibration
-from slamcli.io.frames import FrameFile, list_frames, read_frame
+from slamcli.io.frames import FrameFile, list_frames, of_camera, read_size
+from slamcli.io.images.unread import unread_note
 
 CALIBRATION_NAME = "calibration.yaml"
+# From so many files, evenly spread, the common size is taken when no calibration says it.
+_SIZE_SAMPLES = 15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,7 +31,7 @@ class Inputs:
     calibration_path : Path or None
         None when the frames are taken as top-down pictures in pixel units.
     note : str
-        Which calibration was chosen, for the user; empty when it was named.
+        Which calibration was chosen, when it was not named, and what of the sources is not read.
     """
 
     files: list[FrameFile]
@@ -56,14 +61,21 @@ def open_inputs(
     if path is None:
         path = next((path for path in _calibration_paths(sources, files) if path.is_file()), None)
         note = "" if path is None else f"calibration found: {path}"
+    unread = unread_note([file.path for file in files])
     if path is None:
-        calibration = top_down_calibration(_first_size(files))
-        return Inputs(files, calibration, None, "no calibration: top-down frames, pixel units")
+        calibration = top_down_calibration(_common_size(files))
+        note = "no calibration: top-down frames, pixel units"
+        return Inputs(files, calibration, None, _lines(note, unread))
     calibration = load_calibration(path)
     if max_range_metres is not None:
         calibration = replace(calibration, max_range_metres=max_range_metres)
     check_size(files, calibration, path)
-    return Inputs(files, calibration, path, note)
+    files = of_camera(files, calibration.image_size)
+    return Inputs(files, calibration, path, _lines(note, unread))
+
+
+def _lines(*notes: str) -> str:
+    return "\n".join(note for note in notes if note)
 
 
 def map_sources(floor_map: FloorMap, path: Path, remedy: str) -> tuple[Path, ...]:
@@ -112,32 +124,37 @@ def _calibration_paths(sources: Sequence[Path], files: Sequence[FrameFile]) -> l
     return [folder / CALIBRATION_NAME for folder in folders]
 
 
-def _first_size(files: Sequence[FrameFile]) -> tuple[int, int]:
-    """Return width and height of the first frame that can be read."""
-    reason = ""
+def _sizes(files: Sequence[FrameFile]) -> Iterator[tuple[int, int]]:
+    """Yield the width and height that each file declares; raises InputError when none does."""
+    reason, any_size = "", False
     for file in files:
         try:
-            image = read_frame(file).image
+            size = read_size(file.path)
         except FrameError as error:
             reason = reason or f"{file.name}: {error}"
             continue
-        return image.shape[1], image.shape[0]
-    raise InputError(f"none of the {len(files)} frames can be read; the first, {reason}")
+        any_size = True
+        yield size
+    if not any_size:
+        raise InputError(f"none of the {len(files)} frames can be read; the first, {reason}")
+
+
+def _common_size(files: Sequence[FrameFile]) -> tuple[int, int]:
+    """Return the width and height of most frames: the first may be a thumbnail, or a plan."""
+    sampled = files[:: max(1, len(files) // _SIZE_SAMPLES)]
+    try:
+        sizes = list(_sizes(sampled))
+    except InputError:
+        sizes = list(islice(_sizes(files), 1))
+    return Counter(sizes).most_common(1)[0][0]
 
 
 def check_size(files: Sequence[FrameFile], calibration: Calibration, path: Path) -> None:
     """Refuse a calibration of another image size early, not once for every frame."""
-    size = _first_size(files)
-    if size == calibration.image_size:
-        return
     wanted = calibration.image_size
-    for file in files:
-        try:
-            image = read_frame(file).image
-        except FrameError:
-            continue
-        if (image.shape[1], image.shape[0]) == wanted:
-            return
+    if wanted in _sizes(files):
+        return
+    size = _common_size(files)
     raise CalibrationError(
         f"{path} is for {wanted[0]}x{wanted[1]} images, but the frames have {size[0]}x{size[1]}; "
         "calibrate with a photo of the frames' size"

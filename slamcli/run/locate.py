@@ -16,7 +16,7 @@ from slamcli.core.exit_codes import ExitCode, of_placement
 from slamcli.core.geometry import covariance_in_map
 from slamcli.core.records import PoseEstimate
 from slamcli.io.files import refuse_existing
-from slamcli.io.frames import list_frames
+from slamcli.io.frames import list_frames, of_camera
 from slamcli.io.map_file import load_map
 from slamcli.io.poses import write_poses
 from slamcli.mapping.localizer import Locator
@@ -58,7 +58,7 @@ def locate(
     if output is not None:
         refuse_existing(output, overwrite=overwrite)
     locator = Locator(load_map(floor_map))
-    files = list_frames(sources, None)
+    files = of_camera(list_frames(sources), locator.calibration.image_size)
     work = partial(read_and_prepare, locator.prepare)
     found = [locator.place(prepared) for prepared in session.stage("locating", work, files)]
     if output is not None:

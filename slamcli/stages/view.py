@@ -15,7 +15,7 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.footprint import default_metres_per_pixel, footprint, footprint_hull
 from slamcli.core.camera.projection import SamplingMap, sampling_map
 from slamcli.core.camera.resolution import resolution_image
-from slamcli.core.errors import FrameError
+from slamcli.core.errors import FrameError, other_size
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Frame, View
 from slamcli.core.robust import NORMAL_MEDIAN
@@ -254,10 +254,7 @@ def check_frame(frame: Frame, calibration: Calibration) -> None:
         raise FrameError(f"pixels of shape {image.shape}; gray (H, W) or BGR (H, W, 3) is needed")
     size = (image.shape[1], image.shape[0])
     if size != calibration.image_size:
-        wanted = calibration.image_size
-        raise FrameError(
-            f"{size[0]}x{size[1]} pixels, but the run's camera has {wanted[0]}x{wanted[1]}"
-        )
+        raise other_size(size, calibration.image_size)
 
 
 def check_view(view: View) -> None:

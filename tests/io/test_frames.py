@@ -1,4 +1,4 @@
-"""FrameCache as they come: every format read alike, every fault named in one line."""
+"""Frames as they come: every format read alike, every fault named in one line."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def test_exif_orientation_is_applied(tmp_path: Path, suffix: str) -> None:
 def test_a_wide_sample_format_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "f.tif"
     assert cv2.imwrite(str(path), RED_LEFT.astype(np.float32))
-    assert "kind that cannot be read" in reason_of(path)
+    assert "32 bits a sample cannot be read" in reason_of(path)
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "png"])

@@ -123,7 +123,7 @@ def match(
         fit = without_obstacles(*pictures, fit, matching.min_inliers)
     facts = measured_facts(inputs, pictures, fit)
     note = inputs.note if inputs.calibration_path else "no calibration: pixel units"
-    lines = [*([note] if note else []), *report_lines(facts, fit)]
+    lines = [*note.splitlines(), *report_lines(facts, fit)]
     if drawing is not None:
         write_image(drawing, _draw(pictures, fit, lines))
         lines.append(f"drawing: {drawing}")

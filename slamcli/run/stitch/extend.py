@@ -9,7 +9,7 @@ from pathlib import Path
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import InputError
 from slamcli.core.records import FloorMap
-from slamcli.io.frames import list_frames
+from slamcli.io.frames import list_frames, of_camera
 from slamcli.io.map_file import MAP_NAME, load_map
 from slamcli.run.inputs import Inputs, check_size, map_file_of, map_sources
 
@@ -69,5 +69,6 @@ def open_extension(finished: Path, later: Sequence[Path], frame_rate: float | No
     for estimate in floor_map.estimates:
         map_file_of(files, estimate, remedy=remedy)
     check_size(list_frames(later), floor_map.calibration, path)
+    files = of_camera(files, floor_map.calibration.image_size)
     note = f"extending the map of {finished}, with its own camera and features"
     return Extension(floor_map, sources, Inputs(files, floor_map.calibration, path, note))
