@@ -48,13 +48,18 @@ class SlamGroup(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; an error that the user can correct is one line and an exit code."""
+        from slamcli.cli.signals import acknowledge
+        from slamcli.run.session.interruption import ACKNOWLEDGED, Interruption
+
         try:
-            return super().invoke(ctx)
+            with Interruption(acknowledge).at_once():
+                return super().invoke(ctx)
         except SlamcliError as error:
             click.echo(f"Error: {error}", err=True)
             sys.exit(ExitCode.ERROR)
-        except KeyboardInterrupt:
-            click.echo("interrupted", err=True)
+        except KeyboardInterrupt as error:
+            if ACKNOWLEDGED not in error.args:
+                click.echo("interrupted", err=True)
             sys.exit(ExitCode.INTERRUPTED)
 
 

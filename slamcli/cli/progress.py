@@ -10,7 +10,9 @@ from typing import Any, Self
 import click
 from tqdm import tqdm
 
+from slamcli.cli.signals import acknowledge
 from slamcli.run.session.executor import default_workers
+from slamcli.run.session.interruption import Interruption
 from slamcli.run.session.session import Session
 
 _LINES_PER_STAGE = 5
@@ -56,4 +58,5 @@ class ProgressBar:
 def open_session(workers: int | None, scheduler: str = "") -> Iterator[Session]:
     """Yield the session of a command, with a progress bar; by default on all processors."""
     with ProgressBar() as bar:
-        yield Session(workers or default_workers(), scheduler, bar, bar.notify)
+        interruption = Interruption(acknowledge)
+        yield Session(workers or default_workers(), scheduler, bar, bar.notify, interruption)

@@ -17,7 +17,11 @@ class ExitCode(IntEnum):
     INCOMPLETE = 3
     """Written, but incomplete: most frames lost, or any with --strict, or unreadable by now."""
     INTERRUPTED = 130
-    """Ctrl-C; written is what there was. The shell's own code of a program that SIGINT ended."""
+    """Ctrl-C, SIGTERM or SIGHUP; written is what there was, and `--resume` goes on from there.
+
+    The shell's own code of a program that SIGINT ended; one code for all three, as a script that
+    resumes need not know which of them it was.
+    """
 
 
 def of_placement(placed: int, frames: int, *, strict: bool = False) -> ExitCode:

@@ -1,18 +1,22 @@
-"""Atomic writing: into a temporary file or folder beside the target, then renamed into place."""
+"""Atomic writing: into a temporary file beside the target, on the disk, then renamed into place."""
 
 from __future__ import annotations
 
+import errno
 import os
-import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 
 import cv2
 
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.errors import InputError, OutputError
+
+# Of the folders whose files become results together; until then none of them is promised.
+STAGING_PREFIX = ".partial-"
+# More files than this are written to the disk by one call, which does so for the whole system.
+_MAX_SYNCED_SINGLY = 64
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -21,7 +25,14 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_chunks(path: Path, chunks: Iterable[bytes]) -> None:
-    """Write a file from chunks, completely or not at all; raises OutputError that names it."""
+    """Write a file from chunks, completely or not at all, also when the power fails.
+
+    Raises
+    ------
+    OutputError
+        Names the file.
+    """
+    promised = not any(part.startswith(STAGING_PREFIX) for part in path.parts)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.")
@@ -29,13 +40,18 @@ def write_chunks(path: Path, chunks: Iterable[bytes]) -> None:
             with os.fdopen(handle, "wb") as stream:
                 for chunk in chunks:
                     stream.write(chunk)
+                if promised:
+                    stream.flush()
+                    os.fsync(stream.fileno())
             # mkstemp makes the file private; a result is as readable as the user's umask allows.
             umask = os.umask(0)
             os.umask(umask)
             os.chmod(beside, 0o666 & ~umask)  # noqa: PTH101
             os.replace(beside, path)  # noqa: PTH105
+            if promised:
+                sync_folder(path.parent)
         except BaseException:
-            os.unlink(beside)  # noqa: PTH108
+            Path(beside).unlink(missing_ok=True)
             raise
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
@@ -63,79 +79,37 @@ def write_image(path: Path, image: UInt8Array, *, jpeg_quality: int = 95) -> Non
     write_bytes(path, data.tobytes())
 
 
-def refuse_existing(path: Path, *, overwrite: bool) -> None:
-    """Raise OutputError when the file to be written exists and may not be replaced."""
-    if path.is_dir():
-        raise OutputError(f"cannot write {path}: it is a folder; name a file")
-    if path.exists() and not overwrite:
-        raise OutputError(f"{path} exists; use --overwrite or another --output")
-
-
-@contextmanager
-def output_folder(
-    folder: Path, products: tuple[str, ...], *, overwrite: bool, resume: bool = False
-) -> Iterator[Path]:
-    """Yield an empty staging folder; on success its entries move into `folder`, else it is deleted.
-
-    Parameters
-    ----------
-    folder : Path
-        Where the results go; made when missing.
-    products : tuple of str
-        Glob patterns of the names that this command may write into `folder`. One that is there
-        already is an error, unless `overwrite`, which removes it. Nothing else is ever touched.
-    resume : bool
-        Go on with an interrupted run: its staging folder is removed, and earlier products are
-        replaced.
+def sync_files(folder: Path) -> None:
+    """Write the files of a folder and of all folders in it to the disk, for a power failure.
 
     Raises
     ------
-    OutputError
-        When the folder cannot be written or has earlier products.
+    OSError
     """
-    if folder.exists() and not folder.is_dir():
-        raise OutputError(f"cannot write into {folder}: it is a file; name a folder")
-    earlier = _products_in(folder, products)
-    if earlier and not (overwrite or resume):
-        raise OutputError(
-            f"{folder} already has {earlier[0].name}; use --overwrite or another --output"
-        )
+    paths = [path for path in folder.rglob("*") if path.is_file()]
+    if len(paths) > _MAX_SYNCED_SINGLY and hasattr(os, "sync"):
+        os.sync()
+        return
+    for path in paths:
+        with path.open("rb+") as stream:
+            os.fsync(stream.fileno())
+
+
+def sync_folder(folder: Path) -> None:
+    """Write a folder's list of names to the disk; without effect where folders cannot be opened."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if resume:
-            for path in folder.glob(".partial-*"):
-                remove_folder(path)
-        staging_name = tempfile.mkdtemp(dir=folder, prefix=".partial-")
-    except OSError as error:
-        raise OutputError(f"cannot write into {folder}: {error.strerror or error}") from error
-    staging = folder / os.path.basename(staging_name)  # noqa: PTH119
+        descriptor = os.open(folder, os.O_RDONLY)
+    except PermissionError:
+        # Windows opens no folder.
+        return
     try:
-        yield staging
-        for path in _products_in(folder, products):
-            if path.is_dir():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
-        for path in sorted(staging.iterdir()):
-            path.replace(folder / path.name)
+        os.fsync(descriptor)
     except OSError as error:
-        raise OutputError(f"cannot write into {folder}: {error.strerror or error}") from error
+        # Some file systems sync no folder.
+        if error.errno not in {errno.EINVAL, errno.EBADF}:
+            raise
     finally:
-        shutil.rmtree(staging, ignore_errors=True)
-
-
-def remove_folder(folder: Path) -> None:
-    """Delete a folder that this program made, and all that is in it."""
-    shutil.rmtree(folder, ignore_errors=True)
-
-
-def move_folder(source: Path, target: Path) -> None:
-    """Move a folder within one file system; does nothing when there is none."""
-    try:
-        if source.is_dir():
-            source.replace(target)
-    except OSError as error:
-        raise OutputError(f"cannot write {target}: {error.strerror or error}") from error
+        os.close(descriptor)
 
 
 def read_text(path: Path, what: str) -> str:
@@ -145,7 +119,3 @@ def read_text(path: Path, what: str) -> str:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise InputError(f"cannot read the {what} {path}: {reason}") from error
-
-
-def _products_in(folder: Path, products: tuple[str, ...]) -> list[Path]:
-    return sorted({path for pattern in products for path in folder.glob(pattern)})

@@ -21,6 +21,7 @@ from slamcli.mapping.backend.pose_graph import PoseGraphReader
 from slamcli.mapping.keyframes import KeyframeDatabase, encode_keyframe
 from slamcli.mapping.loop_candidates import LoopCandidate, LoopCandidates
 from slamcli.mapping.relocalization import Relocalization, Relocalizer, are_near
+from slamcli.mapping.saved_state import LoopState
 from slamcli.stages.place_index import PlaceCandidate
 
 Candidates = Sequence[LoopCandidate]
@@ -80,6 +81,31 @@ class LoopCloser:
         self._database.add(keyframe)
         self._searched.add(keyframe.index)
         self._known.add(keyframe.index)
+
+    def state(self) -> LoopState:
+        """Return all that `restore` needs."""
+        return LoopState(
+            self._database.keyframes,
+            self._alike,
+            self._linked.linked,
+            self._linked.count,
+            self._path_lengths_metres,
+            tuple(sorted(self._known)),
+            tuple(sorted(self._searched)),
+            self._failed,
+        )
+
+    def restore(self, state: LoopState) -> None:
+        """Take over the state of another loop closer, before any keyframe was added."""
+        for keyframe in state.keyframes:
+            if keyframe.index not in self._database:
+                self._database.add(keyframe)
+        self._alike = dict(state.alike)
+        self._linked.linked = {index: list(others) for index, others in state.linked.items()}
+        self._linked.count = state.counted_links
+        self._path_lengths_metres = dict(state.path_lengths_metres)
+        self._known, self._searched = set(state.known), set(state.searched)
+        self._failed = dict(state.failed)
 
     def relocalize(
         self, prepared: PreparedFrame, graph: PoseGraphReader, *, after_break: bool
@@ -217,20 +243,27 @@ class LoopCloser:
 
 
 class _LinkedKeyframes:
-    """Which keyframes are linked, up to neighbouring keyframes."""
+    """Which keyframes are linked, up to neighbouring keyframes.
+
+    Attributes
+    ----------
+    linked : dict of int to list of int
+    count : int
+        Links of the graph that it has.
+    """
 
     def __init__(self, database: KeyframeDatabase) -> None:
         self._database = database
-        self._linked: dict[int, list[int]] = {}
-        self._count = 0
+        self.linked: dict[int, list[int]] = {}
+        self.count = 0
 
     def update(self, links: Sequence[Link]) -> None:
         """Add the links since the last update; links are never removed."""
-        for link in links[self._count :]:
+        for link in links[self.count :]:
             if link.a in self._database and link.b in self._database:
-                self._linked.setdefault(link.a, []).append(link.b)
-                self._linked.setdefault(link.b, []).append(link.a)
-        self._count = len(links)
+                self.linked.setdefault(link.a, []).append(link.b)
+                self.linked.setdefault(link.b, []).append(link.a)
+        self.count = len(links)
 
     def beside(self, a: int, b: int, more: Sequence[Link] = ()) -> bool:
         """Return whether b is linked to a already, or to a keyframe right before or after it.
@@ -242,7 +275,7 @@ class _LinkedKeyframes:
         more : sequence of Link
             More links of b with older ones.
         """
-        others = [*self._linked.get(b, []), *(link.a for link in more)]
+        others = [*self.linked.get(b, []), *(link.a for link in more)]
         return any(
             abs(self._database.steps_between(other, a)) <= _MAX_STEPS_BESIDE for other in others
         )

@@ -8,6 +8,8 @@ remaining loops and optimises the pose graph.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from slamcli.core.arrays import UInt8Array
@@ -31,6 +33,7 @@ from slamcli.mapping.loop_closure import LoopCloser, Spread
 from slamcli.mapping.motion_model import MotionModel
 from slamcli.mapping.preprocessing import Preprocessor
 from slamcli.mapping.relocalization import Relocalizer
+from slamcli.mapping.saved_state import MapperState
 from slamcli.mapping.tracking import Tracker
 from slamcli.mapping.tracking_state import TrackingState
 from slamcli.registration import RegistrationResult
@@ -231,6 +234,25 @@ class Mapper:
         self._backend.add_map(floor_map.estimates, floor_map.links)
         for keyframe in floor_map.keyframes:
             self._loop_closer.add_known(keyframe)
+
+    def state(self) -> MapperState:
+        """Return what `restore` needs to go on from here, with the same results to the last bit."""
+        graph, next_fragment, smoother = self._backend.state()
+        loops, tracking = self._loop_closer.state(), self._tracking.frames()
+        return MapperState(graph, next_fragment, smoother, loops, tracking)
+
+    def restore(self, state: MapperState, prepared: Mapping[int, PreparedFrame]) -> None:
+        """Take over the state of a mapper of the same camera, options and readings.
+
+        Parameters
+        ----------
+        state : MapperState
+        prepared : mapping
+            The frames of ``state.tracking.indices``, prepared again.
+        """
+        self._backend.restore(state.graph, state.next_fragment, state.smoother)
+        self._loop_closer.restore(state.loops)
+        self._tracking.restore(state.tracking, prepared)
 
     def _insert(self, prepared: PreparedFrame, results: list[RegistrationResult]) -> PoseEstimate:
         """Insert a frame by its links into the pose graph; close the loops of a new keyframe."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import PreparedFrame
+from slamcli.mapping.saved_state import TrackingFrames
 
 
 @dataclass(slots=True, eq=False)
@@ -34,3 +36,25 @@ class TrackingState:
     last_lost: PreparedFrame | None = None
     motion: Pose2 | None = None
     motion_frame: int = 0
+
+    def frames(self) -> TrackingFrames:
+        """Return the state with frames by their indices, as `restore` needs it."""
+        return TrackingFrames(
+            tuple(keyframe.index for keyframe in self.keyframes),
+            None if self.latest is None else self.latest.index,
+            None if self.last_placed is None else self.last_placed.index,
+            None if self.last_lost is None else self.last_lost.index,
+            self.motion,
+            self.motion_frame,
+        )
+
+    def restore(self, saved: TrackingFrames, prepared: Mapping[int, PreparedFrame]) -> None:
+        """Take over a saved state, with its frames prepared again, each once."""
+
+        def of(index: int | None) -> PreparedFrame | None:
+            return None if index is None else prepared[index]
+
+        self.keyframes = [prepared[index] for index in saved.keyframes]
+        self.latest, self.last_placed = of(saved.latest), of(saved.last_placed)
+        self.last_lost = of(saved.last_lost)
+        self.motion, self.motion_frame = saved.motion, saved.motion_frame

@@ -46,7 +46,10 @@ def detect(
     inputs = open_inputs(sources, calibration_path)
     options = with_point_network(options, networks, options.method)
     resampler = _resampler(inputs)
-    with frame_outputs(inputs.files, output, (SUFFIX,), TABLE, overwrite=overwrite) as staging:
+    read = (*inputs.paths, *networks.paths)
+    with frame_outputs(
+        inputs.files, output, (SUFFIX,), TABLE, inputs=read, overwrite=overwrite
+    ) as staging:
         work = partial(_search, inputs.calibration, resampler, options, staging)
         results = each_frame("detecting", work, inputs.files, session)
         found = [result for result in results if not isinstance(result, Skipped)]

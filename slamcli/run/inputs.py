@@ -39,6 +39,12 @@ class Inputs:
     calibration_path: Path | None
     note: str
 
+    @property
+    def paths(self) -> list[Path]:
+        """All files that are read."""
+        calibration = [] if self.calibration_path is None else [self.calibration_path]
+        return [*calibration, *(file.path for file in self.files)]
+
 
 def open_inputs(
     sources: Sequence[Path],

@@ -15,9 +15,9 @@ import numpy as np
 from slamcli.core.exit_codes import ExitCode, of_placement
 from slamcli.core.geometry import covariance_in_map
 from slamcli.core.records import PoseEstimate
-from slamcli.io.files import refuse_existing
 from slamcli.io.frames import list_frames, of_camera
-from slamcli.io.map_file import load_map
+from slamcli.io.map_file import load_map, map_path
+from slamcli.io.outputs import refuse_existing
 from slamcli.io.poses import write_poses
 from slamcli.mapping.localizer import Locator
 from slamcli.run.frame_loop import read_and_prepare
@@ -55,10 +55,12 @@ def locate(
     ------
     InputError, MapError, OutputError
     """
+    listed = list_frames(sources)
     if output is not None:
-        refuse_existing(output, overwrite=overwrite)
+        inputs = (map_path(floor_map), *(file.path for file in listed))
+        refuse_existing(output, inputs=inputs, overwrite=overwrite)
     locator = Locator(load_map(floor_map))
-    files = of_camera(list_frames(sources), locator.calibration.image_size)
+    files = of_camera(listed, locator.calibration.image_size)
     work = partial(read_and_prepare, locator.prepare)
     found = [locator.place(prepared) for prepared in session.stage("locating", work, files)]
     if output is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from slamcli.core.errors import FrameError, InputError
-from slamcli.io.files import output_folder
 from slamcli.io.frames import FrameFile
+from slamcli.io.outputs import output_folder
 from slamcli.run.session.session import Session
 
 Result = TypeVar("Result")
@@ -27,7 +27,12 @@ class Skipped:
 
 @contextmanager
 def frame_outputs(
-    files: list[FrameFile], output: Path, suffixes: tuple[str, ...], *more: str, overwrite: bool
+    files: list[FrameFile],
+    output: Path,
+    suffixes: tuple[str, ...],
+    *more: str,
+    inputs: Iterable[Path | None],
+    overwrite: bool,
 ) -> Iterator[Path]:
     """Yield a staging folder for files named after each frame's stem and a suffix, and for more.
 
@@ -40,7 +45,7 @@ def frame_outputs(
     if len(set(stems)) < len(stems):
         raise InputError("two frames have the same name; give their folders one at a time")
     products = (*more, *(f"{escape(stem)}{suffix}" for stem in stems for suffix in suffixes))
-    with output_folder(output, products, overwrite=overwrite) as staging:
+    with output_folder(output, products, inputs=inputs, overwrite=overwrite) as staging:
         yield staging
 
 

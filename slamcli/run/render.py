@@ -10,9 +10,9 @@ from pathlib import Path
 from slamcli.core.config import ProductOptions
 from slamcli.core.errors import InputError
 from slamcli.core.exit_codes import ExitCode
-from slamcli.io.files import output_folder, remove_folder
 from slamcli.io.frames import list_frames
-from slamcli.io.map_file import MAP_NAME, load_map
+from slamcli.io.map_file import MAP_NAME, load_map, map_path
+from slamcli.io.outputs import output_folder, remove_folder
 from slamcli.run.inputs import map_file_of, map_sources
 from slamcli.run.paint import outputs
 from slamcli.run.paint.scene import scenes_of
@@ -60,9 +60,10 @@ def render(
         raise InputError(f"{path} has no frame with a pose; there is nothing to paint")
     where = partial(map_file_of, files, remedy=remedy)
     scenes = scenes_of(floor_map.calibration, estimates, where, options.turn_radians)
+    read = (map_path(path), *(file.path for file in files))
     with (
-        session.interruption.on_sigint(),
-        output_folder(output, outputs.PRODUCTS, overwrite=overwrite) as staging,
+        session.interruption.on_signals(),
+        output_folder(output, outputs.PRODUCTS, inputs=read, overwrite=overwrite) as staging,
     ):
         painted = outputs.write_maps(scenes, options, staging, staging / "tiles", session)
         remove_folder(staging / "tiles")

@@ -18,8 +18,9 @@ from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.io import telemetry
 from slamcli.io.calibrations import save_calibration
-from slamcli.io.files import output_folder, write_image
+from slamcli.io.files import write_image
 from slamcli.io.frames import read_image
+from slamcli.io.outputs import output_folder
 from slamcli.io.trajectories import read_path
 from slamcli.run.session.session import Session
 from slamcli.simulation import drive, floors, photograph
@@ -69,7 +70,9 @@ def simulate(
     count = len(poses) - 1
     names = [f"{index:04d}.jpg" for index in range(count)]
     stamps = [index / options.frame_rate_hertz for index in range(count)]
-    with output_folder(output, PRODUCTS, overwrite=overwrite) as staging:
+    with output_folder(
+        output, PRODUCTS, inputs=[Path(options.floor)], overwrite=overwrite
+    ) as staging:
         moves = [(world_from_map @ a, world_from_map @ b) for a, b in pairwise(poses)]
         jobs = list(zip(range(count), moves, stamps, strict=True))
         work = partial(_take, photographer, options)

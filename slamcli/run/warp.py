@@ -38,7 +38,10 @@ def warp(
     scale = metres_per_pixel or default_metres_per_pixel(inputs.calibration)
     resampler = view.make_view_resampler(inputs.calibration, scale)
     grid = resampler.grid
-    with frame_outputs(inputs.files, output, (".png", ".pgw"), overwrite=overwrite) as staging:
+    suffixes = (".png", ".pgw")
+    with frame_outputs(
+        inputs.files, output, suffixes, inputs=inputs.paths, overwrite=overwrite
+    ) as staging:
         work = partial(_warp_frame, inputs.calibration, resampler, staging)
         results = each_frame("warping", work, inputs.files, session)
     skipped = [f"skipped {result.reason}" for result in results if isinstance(result, Skipped)]

@@ -190,3 +190,8 @@ class NetworkFiles:
     network_size: tuple[int, int] | None = None
     matcher: Literal["nearest", "lightglue"] = "nearest"
     matcher_weights: Path | None = None
+
+    @property
+    def paths(self) -> tuple[Path | None, Path | None]:
+        """All files that are read."""
+        return self.weights, self.matcher_weights

@@ -84,6 +84,11 @@ def save_map(path: Path, floor_map: FloorMap) -> None:
     write_bytes(path, first_line + hashlib.sha256(body).digest() + body)
 
 
+def map_path(path: Path) -> Path:
+    """Return the file of a map that is named by it, or by the folder that it is in."""
+    return path / MAP_NAME if path.is_dir() else path
+
+
 def load_map(path: str | Path, *, for_locating: bool = True) -> FloorMap:
     """Return the map in a file, or in a folder that `slam stitch` wrote.
 
@@ -97,8 +102,7 @@ def load_map(path: str | Path, *, for_locating: bool = True) -> FloorMap:
     MapError
         One line that names the file and what is wrong with it.
     """
-    path = Path(path)
-    file = path / MAP_NAME if path.is_dir() else path
+    file = map_path(Path(path))
     body = _read_body(file)
     try:
         floor_map = _parse(body)

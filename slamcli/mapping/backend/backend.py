@@ -13,6 +13,7 @@ from slamcli.mapping.backend.optimizer import BatchOptimizer
 from slamcli.mapping.backend.pose_graph import PoseGraph, lost, most_certain, tracked
 from slamcli.mapping.backend.sensors import Sensors
 from slamcli.mapping.backend.smoother import FixedLagSmoother
+from slamcli.mapping.saved_state import GraphState, SmootherState
 from slamcli.stages import posegraph
 
 # Of poses that are equal by definition (m, rad): the equations need a covariance above 0.
@@ -39,6 +40,16 @@ class Backend:
         self.sensors = sensors or Sensors()
         self._smoother = FixedLagSmoother(self.sensors)
         self._next_fragment = 0
+
+    def state(self) -> tuple[GraphState, int, SmootherState]:
+        """Return the graph, the number of the next fragment, and the optimisers' schedule."""
+        return self.graph.state(), self._next_fragment, self._smoother.state()
+
+    def restore(self, graph: GraphState, next_fragment: int, smoother: SmootherState) -> None:
+        """Take over the state of another back end, but for its sensors."""
+        self.graph.restore(graph)
+        self._next_fragment = next_fragment
+        self._smoother.restore(smoother)
 
     def begin_fragment(self, prepared: PreparedFrame) -> PoseEstimate:
         """Make a frame the origin of a new fragment, unless odometry has placed it already."""

@@ -16,6 +16,7 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, PoseEstimate, PreparedFrame
 from slamcli.core.telemetry import Georeference
+from slamcli.mapping.saved_state import GraphState
 from slamcli.stages import posegraph
 
 
@@ -188,6 +189,28 @@ class PoseGraph:
         self.offsets[update.fragment] = update.offsets
         if update.georeference is not None:
             self.georeferences[update.fragment] = update.georeference
+
+    def state(self) -> GraphState:
+        """Return all that `restore` needs."""
+        return GraphState(
+            tuple(self._estimates.values()),
+            self.links_before,
+            self._links,
+            tuple(sorted(self.switched_off)),
+            self.georeferences,
+            self.offsets,
+        )
+
+    def restore(self, state: GraphState) -> None:
+        """Take over the state of another graph in place of its own."""
+        self._estimates = {estimate.index: estimate for estimate in state.estimates}
+        self.order = list(self._estimates)
+        self.links_before = list(state.links_before)
+        self._links = list(state.links)
+        self.switched_off = frozenset(state.switched_off)
+        self.georeferences = dict(state.georeferences)
+        self.offsets = dict(state.offsets)
+        self._next_index = max(self.order, default=-1) + 1
 
     def clear_solution(self) -> None:
         """Discard all that optimisations found but the poses: every fragment is solved anew."""

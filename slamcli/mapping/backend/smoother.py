@@ -14,6 +14,7 @@ from slamcli.core.telemetry import Georeference
 from slamcli.mapping.backend.optimizer import BatchOptimizer
 from slamcli.mapping.backend.pose_graph import GraphUpdate, PoseGraph
 from slamcli.mapping.backend.sensors import Sensors
+from slamcli.mapping.saved_state import SmootherState
 from slamcli.stages import posegraph
 
 # Up to this size, or while the offsets of compass and GPS are not known yet, the whole graph is
@@ -51,6 +52,17 @@ class FixedLagSmoother:
         self._all_solved_at = 0
         self._closed_at = 0
         self._reaches_to: int | None = None
+
+    def state(self) -> SmootherState:
+        """Return all that `restore` needs."""
+        return SmootherState(
+            self._solved_at, self._all_solved_at, self._closed_at, self._reaches_to
+        )
+
+    def restore(self, state: SmootherState) -> None:
+        """Take over the state of another schedule in place of its own."""
+        self._solved_at, self._all_solved_at = state.solved_at, state.all_solved_at
+        self._closed_at, self._reaches_to = state.closed_at, state.reaches_to
 
     def on_frame(self, graph: PoseGraph, index: int, links: Sequence[Link]) -> GraphUpdate | None:
         """Return the result of the optimisation that is due after a frame, or None for none.

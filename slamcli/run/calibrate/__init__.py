@@ -20,8 +20,9 @@ from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.core.records import Frame
 from slamcli.drawing.calibration import birdseye_grid, draw_calibration
 from slamcli.io.calibrations import CalibrationSource, load_intrinsics, save_calibration
-from slamcli.io.files import refuse_existing, write_image
+from slamcli.io.files import write_image
 from slamcli.io.frames import read_image
+from slamcli.io.outputs import refuse_existing
 from slamcli.run.calibrate.mountings import (
     Result,
     Target,
@@ -97,9 +98,10 @@ def calibrate(
     own = [path.with_name(f"{path.stem}_{photo.stem}{path.suffix}") for photo in photos]
     if len(set(own)) < len(own):
         raise InputError("two photos have the same name; rename one, or calibrate one at a time")
+    inputs = (*photos, options.intrinsics_path)
     for place in [path] if len(photos) == 1 else [path, *own]:
-        refuse_existing(place, overwrite=overwrite)
-        refuse_existing(place.with_suffix(".png"), overwrite=overwrite)
+        refuse_existing(place, inputs=inputs, overwrite=overwrite)
+        refuse_existing(place.with_suffix(".png"), inputs=inputs, overwrite=overwrite)
     intrinsics = options.intrinsics_path and load_intrinsics(options.intrinsics_path)
     results: list[Result] = []
     failures: list[str] = []

@@ -16,8 +16,8 @@ from slamcli.core.config import MapperOptions
 from slamcli.core.errors import CalibrationError, InputError
 from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.io.calibrations import CalibrationSource, load_origin, save_calibration
-from slamcli.io.files import refuse_existing
 from slamcli.io.frames import read_frame
+from slamcli.io.outputs import refuse_existing
 from slamcli.io.toml import Scalar
 from slamcli.run.frame_loop import register
 from slamcli.run.inputs import Inputs, open_inputs
@@ -43,8 +43,8 @@ def calibrate_by_frames(
         CalibrationError when the frames do not determine the camera.
     """
     path = output if output.suffix.lower() in {".yaml", ".yml"} else output / "calibration.yaml"
-    refuse_existing(path, overwrite=overwrite)
     inputs = open_inputs(sources, calibration_path, max_range_metres=max_range_metres)
+    refuse_existing(path, inputs=inputs.paths, overwrite=overwrite)
     if inputs.calibration_path is None:
         raise InputError("--refine starts from a calibration; give it with -c")
     options = MapperOptions()

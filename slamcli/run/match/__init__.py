@@ -16,7 +16,8 @@ from slamcli.core.geometry import apply_homography, invert
 from slamcli.drawing.correlation_surface import draw_surface
 from slamcli.drawing.matches import draw_matches
 from slamcli.drawing.obstacles import draw_obstacles
-from slamcli.io.files import refuse_existing, write_image
+from slamcli.io.files import write_image
+from slamcli.io.outputs import refuse_existing
 from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.match.fitting import (
     AUTO_RECIPES,
@@ -106,12 +107,13 @@ def match(
     ------
     InputError, CalibrationError, OutputError
     """
-    if drawing is not None:
-        if drawing.suffix.lower() not in DRAWING_SUFFIXES:
-            suffixes = " or ".join(DRAWING_SUFFIXES)
-            raise OutputError(f"cannot write the drawing {drawing}: name it {suffixes}")
-        refuse_existing(drawing, overwrite=overwrite)
+    if drawing is not None and drawing.suffix.lower() not in DRAWING_SUFFIXES:
+        suffixes = " or ".join(DRAWING_SUFFIXES)
+        raise OutputError(f"cannot write the drawing {drawing}: name it {suffixes}")
     inputs = open_inputs([first, second], calibration_path)
+    if drawing is not None:
+        read = (*inputs.paths, *options.networks.paths)
+        refuse_existing(drawing, inputs=read, overwrite=overwrite)
     if len(inputs.files) != 2:
         raise InputError(f"{first} and {second} must be two image files, not folders")
     pictures = _open(inputs)

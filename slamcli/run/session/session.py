@@ -44,7 +44,7 @@ class Session:
     notify : function
         Prints one line that is no result.
     interruption : Interruption
-        Whether the user pressed Ctrl-C.
+        The requests to stop: Ctrl-C, SIGTERM, SIGHUP.
     """
 
     workers: int = 1

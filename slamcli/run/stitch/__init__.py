@@ -9,8 +9,8 @@ from pathlib import Path
 
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.checkpoints import Checkpoint
-from slamcli.io.files import move_folder, output_folder, remove_folder
 from slamcli.io.map_file import MAP_NAME, save_map
+from slamcli.io.outputs import locked_folder, move_folder, remove_folder, staging_folder
 from slamcli.io.poses import write_poses
 from slamcli.run.calibrate import self_calibration
 from slamcli.run.frame_loop import finish, registration_of, run_mapper
@@ -19,12 +19,11 @@ from slamcli.run.paint.outputs import PaintedMaps
 from slamcli.run.paint.scene import scenes_of
 from slamcli.run.paint.thumbnails import Thumbnails
 from slamcli.run.session.session import Session
-from slamcli.run.stitch import exports, report
+from slamcli.run.stitch import exports, report, resume
 from slamcli.run.stitch.debug_drawings import draw_trials
 from slamcli.run.stitch.drive import Drive, LocatedDrive, open_drive
 from slamcli.run.stitch.options import StitchOptions
 from slamcli.run.stitch.report import StitchReport
-from slamcli.run.stitch.resume import SaveSchedule, resumed_mapper
 from slamcli.run.telemetry import TelemetryFiles, feed_shifted
 
 _DRAWINGS = "matches"
@@ -58,14 +57,21 @@ def stitch(
     started = time.monotonic()
     drive = open_drive(sources, calibration_path, options, telemetry or TelemetryFiles(), session)
     with (
-        session.interruption.on_sigint(),
+        session.interruption.on_signals(),
+        locked_folder(output),
         Checkpoint(output) as checkpoint,
-        output_folder(output, PRODUCTS, overwrite=overwrite, resume=options.resume) as staging,
     ):
-        located = locate_frames(drive, checkpoint, session)
-        located = self_calibrate(located, session)
-        painted = paint(located, staging, checkpoint, session)
-        write(located, staging, checkpoint, session)
+        resumed = resume.begin(drive, checkpoint, overwrite=overwrite)
+        replaced = overwrite or resumed
+        with staging_folder(output, PRODUCTS, inputs=drive.paths, overwrite=replaced) as staging:
+            if resumed:
+                resume.resume(drive, checkpoint, session)
+            elif options.resume:
+                session.notify("nothing to resume: no run was cut off; the run begins anew")
+            located = locate_frames(drive, checkpoint, session)
+            located = self_calibrate(located, session)
+            painted = paint(located, staging, checkpoint, session)
+            write(located, staging, checkpoint, session)
     seconds, interrupted = time.monotonic() - started, session.interruption.happened
     return report.report(located, painted, output, seconds, interrupted=interrupted)
 
@@ -75,15 +81,14 @@ def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> Loc
 
     Frames that a resumed mapper has seen are done. The state is saved now and then.
     """
-    mapper = resumed_mapper(drive, checkpoint, session)
-    schedule, thumbnails = SaveSchedule(), Thumbnails()
-    files = drive.inputs.files
+    schedule, thumbnails = resume.SaveSchedule(), Thumbnails()
+    files, mapper = drive.inputs.files, drive.mapper
     for done in run_mapper(mapper, files, session, thumbnails):
         if drive.options.debug:
             draw_trials(mapper.registrations, checkpoint.drawings)
         stop = session.interruption.stops_here()
         if stop or schedule.due() or done == len(files):
-            schedule.run(lambda: checkpoint.save(mapper))
+            schedule.run(lambda: resume.save(mapper, checkpoint, len(files)))
         if stop:
             break
     offset = feed_shifted(mapper, drive.telemetry) if drive.telemetry.find_time_offset else ""

@@ -10,6 +10,7 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import InputError
 from slamcli.core.records import PoseEstimate
+from slamcli.io.map_file import map_path
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.networks import with_match_network, with_point_network
@@ -47,6 +48,15 @@ class Drive:
     telemetry: Telemetry
     options: StitchOptions
     mapper: Mapper
+
+    @property
+    def paths(self) -> list[Path]:
+        """All files that are read."""
+        files, networks = self.telemetry_files, self.options.networks
+        others = (files.odometry, files.compass, files.gps, *networks.paths)
+        extended = self.options.extend
+        found = [*others, None if extended is None else map_path(extended)]
+        return [*self.inputs.paths, *(path for path in found if path is not None)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ from slamcli.core.config import MapperOptions
 from slamcli.core.errors import InputError
 from slamcli.core.records import FloorMap
 from slamcli.io.frames import list_frames, of_camera
-from slamcli.io.map_file import MAP_NAME, load_map
+from slamcli.io.map_file import load_map, map_path
 from slamcli.run.inputs import Inputs, check_size, map_file_of, map_sources
 
 
@@ -57,7 +57,7 @@ def open_extension(finished: Path, later: Sequence[Path], frame_rate: float | No
     InputError, MapError, CalibrationError
     """
     floor_map = load_map(finished)
-    path = finished / MAP_NAME if finished.is_dir() else finished
+    path = map_path(finished)
     remedy = "put them back, as they are painted again, or stitch both drives as one"
     known = map_sources(floor_map, path, remedy)
     resolved = {source.resolve() for source in known}

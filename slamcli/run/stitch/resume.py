@@ -7,38 +7,62 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from slamcli import __version__
+from slamcli.core.errors import InputError
 from slamcli.io.checkpoints import Checkpoint, run_key
+from slamcli.io.record_columns import from_columns, to_columns
 from slamcli.mapping.mapper import Mapper
+from slamcli.mapping.saved_state import MapperState
+from slamcli.run.frame_loop import read_and_prepare
 from slamcli.run.session.session import Session
 from slamcli.run.stitch.drive import Drive
 
 # Raised whenever a class of the saved state moves or changes its fields: an older state is then
 # another run's, of which there is nothing to resume.
-_STATE_LAYOUT = 2
+_STATE_LAYOUT = 3
 # A state is saved at most so often, and takes at most this share of the time.
 _SAVE_SECONDS, _MAX_SAVE_SHARE = 5.0, 0.05
 
 
-def resumed_mapper(drive: Drive, checkpoint: Checkpoint, session: Session) -> Mapper:
-    """Return the mapper of a run that was cut off, if one is to be resumed; else the drive's."""
-    inputs, files, options = drive.inputs, drive.telemetry_files, drive.options
-    paths = [file.path for file in inputs.files]
-    others = (inputs.calibration_path, files.odometry, files.compass, files.gps)
-    paths += [path for path in others if path is not None]
+def begin(drive: Drive, checkpoint: Checkpoint, *, overwrite: bool) -> bool:
+    """Begin a run; return whether one that was cut off is resumed.
+
+    Raises
+    ------
+    OutputError
+        When there is one that was cut off, and it is neither to be resumed nor overwritten.
+    """
     # How a run is reported is no part of what it computes.
-    plain = replace(options, resume=False, strict=False)
-    key = run_key(f"{__version__} layout {_STATE_LAYOUT} {plain!r}", paths)
-    if checkpoint.open(key, resume=options.resume):
-        mapper = checkpoint.load()
-        if isinstance(mapper, Mapper):
-            located, total = len(mapper.estimates), len(inputs.files)
-            session.notify(f"resumed: {located} of {total} frames had been located")
-            return mapper
-    if options.resume:
-        session.notify(
-            "nothing to resume: no run of these frames and options was cut off; starting anew"
-        )
-    return drive.mapper
+    plain = replace(drive.options, resume=False, strict=False)
+    key = run_key(f"{__version__} layout {_STATE_LAYOUT} {plain!r}", drive.paths)
+    return checkpoint.begin(key, resume=drive.options.resume, overwrite=overwrite)
+
+
+def resume(drive: Drive, checkpoint: Checkpoint, session: Session) -> None:
+    """Bring the drive's mapper to where a run that was cut off has saved its state.
+
+    When that is damaged the run begins anew; the finished tiles are of use all the same.
+    """
+    files = drive.inputs.files
+    try:
+        state = from_columns(MapperState, checkpoint.load())
+        prepared = {
+            index: read_and_prepare(drive.mapper.prepare, files[index])
+            for index in sorted(state.tracking.indices)
+        }
+        drive.mapper.restore(state, prepared)
+    except InputError as error:
+        session.notify(f"{error}; the run begins anew")
+    except (ValueError, LookupError) as error:
+        session.notify(f"{checkpoint.state_path} is damaged: {error}; the run begins anew")
+    else:
+        located = len(drive.mapper.estimates)
+        session.notify(f"resumed: {located} of {len(files)} frames had been located")
+
+
+def save(mapper: Mapper, checkpoint: Checkpoint, total: int) -> None:
+    """Save a mapper's state after some of all frames; raises OutputError."""
+    state = to_columns(MapperState, mapper.state())
+    checkpoint.save(state, len(mapper.estimates), total)
 
 
 class SaveSchedule:

@@ -178,7 +178,7 @@ def test_equal_runs_print_equal_bytes(pictures):
         (("first picture.png", "broken.png"), "broken.png: the file is empty"),
         (("first picture.png", "second.png", "-o", "match.txt"), "name it .png or .jpg"),
         (("first picture.png", "second.png", "--first-level", "9"), "needs more than 8 levels"),
-        (("first picture.png", "second.png", "-o", "second.png"), "--overwrite"),
+        (("first picture.png", "second.png", "-o", "second.png"), "is an input of this command"),
     ],
 )
 def test_what_cannot_be_used_is_one_line(pictures, monkeypatch, arguments, message):

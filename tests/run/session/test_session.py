@@ -7,6 +7,7 @@ import signal
 
 import pytest
 
+from slamcli.run.session.interruption import Interruption
 from slamcli.run.session.session import Session
 
 
@@ -35,15 +36,35 @@ def test_work_on_this_machine_has_no_cluster_and_the_same_interruption() -> None
     assert list(here.ordered(abs, [-1, 2])) == [1, 2]
 
 
-def test_ctrl_c_stops_one_stage_and_a_second_one_at_once_ends_the_program() -> None:
-    interruption = Session().interruption
-    with interruption.on_sigint():
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_stops_one_stage_and_a_second_one_at_once_ends_the_program(
+    number: signal.Signals,
+) -> None:
+    said: list[str] = []
+    interruption = Interruption(said.append)
+    before = signal.getsignal(number)
+    with interruption.on_signals():
         assert not interruption.stops_here()
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), number)
+        assert said == [
+            "interrupted: stops after this step and writes what there is; once more: at once"
+        ]
         assert interruption.stops_here()
         assert interruption.happened
         assert not interruption.stops_here()
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), number)
         with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), number)
+        # What is half-written is deleted without another interruption.
+        os.kill(os.getpid(), number)
+    assert signal.getsignal(number) == before
     assert not Session().interruption.happened
+
+
+def test_a_signal_that_is_ignored_stays_so() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with Interruption().at_once():
+            os.kill(os.getpid(), signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)

@@ -11,6 +11,7 @@ import pytest
 from command_line import slam
 
 from slamcli.core.config import MapperOptions, PaintOptions, ProductOptions
+from slamcli.core.errors import OutputError
 from slamcli.core.exit_codes import ExitCode
 from slamcli.run.session.session import Session
 from slamcli.run.stitch import resume, stitch
@@ -110,5 +111,5 @@ def test_a_state_of_another_layout_is_not_resumed(
     shutil.rmtree(tmp_path / "out")
     cut_off()
     monkeypatch.setattr(resume, "_STATE_LAYOUT", 0)
-    stitched(frames, tmp_path / "out", Session(notify=notices.append), resume=True)
-    assert any(line.startswith("nothing to resume") for line in notices)
+    with pytest.raises(OutputError, match="an interrupted run of other frames or options"):
+        stitched(frames, tmp_path / "out", Session(), resume=True)

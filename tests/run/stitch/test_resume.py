@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import os
+import pickle
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from command_line import slam
 
+from slamcli.core.config import MapperOptions, PaintOptions, ProductOptions
+from slamcli.core.errors import InputError, OutputError
 from slamcli.io.checkpoints import Checkpoint, run_key
+from slamcli.run.session.session import Session
+from slamcli.run.stitch import resume, stitch
+from slamcli.run.stitch.options import StitchOptions
+from slamcli.run.stitch.report import StitchReport
 
 COARSE = ("--metres-per-pixel", "0.004")
 
@@ -83,21 +93,164 @@ def test_ctrl_c_ends_with_what_is_there_and_can_be_gone_on_with(
     assert not (cut / ".resume").exists()
 
 
+def cut_off(drive: Path, output: Path, stage: str, **changes: bool) -> None:
+    """Run until a line of the progress, as a killed program would."""
+
+    def killed(now: str, done: int, _total: int) -> None:
+        if f"{now} {done}" == stage:
+            raise SystemExit
+
+    with pytest.raises(SystemExit):
+        stitched(drive, output, Session(progress=killed), **changes)
+
+
+def stitched(
+    drive: Path, output: Path, session: Session, *, overwrite: bool = False, **changes: bool
+) -> StitchReport:
+    options = StitchOptions(MapperOptions(), products=ProductOptions(PaintOptions(0.004)))
+    return stitch(
+        [drive], None, output, replace(options, **changes), overwrite=overwrite, session=session
+    )
+
+
+@pytest.fixture
+def saved_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A state is saved after every frame."""
+    monkeypatch.setattr(resume, "_SAVE_SECONDS", 0.0)
+    monkeypatch.setattr(resume, "_MAX_SAVE_SHARE", 1e9)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    paths = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+
+
+@pytest.mark.usefixtures("saved_often")
+def test_a_run_goes_on_from_any_frame_to_the_same_bytes(drive: Path, tmp_path: Path) -> None:
+    stitched(drive, tmp_path / "whole", Session())
+    cut, notices = tmp_path / "cut", list[str]()
+    for number in range(2, 6):
+        resumed = Session(notify=notices.append)
+        cut_off(drive, cut, f"locating {number}", resume=number > 2)
+        shutil.copytree(cut, tmp_path / str(number))
+        stitched(drive, tmp_path / str(number), resumed, resume=True)
+        assert f"resumed: {number - 1} of 5 frames had been located" in notices
+        assert contents(tmp_path / str(number)) == contents(tmp_path / "whole")
+
+
+@pytest.mark.usefixtures("saved_often")
+def test_an_interrupted_run_is_not_thrown_away_by_running_it_again(
+    drive: Path, tmp_path: Path
+) -> None:
+    cut = tmp_path / "cut"
+    cut_off(drive, cut, "locating 4")
+    before = contents(cut)
+    result = slam("stitch", drive, "-o", cut, *COARSE)
+    assert result.exit_code == 1
+    assert result.output == (
+        f"Error: {cut} has an interrupted run, 3 of 5 located: --resume to go on, or --overwrite "
+        "to begin anew\n"
+    )
+    result = slam("stitch", drive, "-o", cut, *COARSE, "--no-loops", "--resume")
+    assert result.exit_code == 1
+    assert "an interrupted run of other frames or options, 3 of 5 located" in result.output
+    assert contents(cut) == before
+    result = slam("stitch", drive, "-o", cut, *COARSE, "--overwrite")
+    assert result.exit_code == 0, result.output
+    assert "resumed" not in result.output
+    assert not (cut / ".resume").exists()
+    # A finished run is not resumed, and not replaced either.
+    result = slam("stitch", drive, "-o", cut, *COARSE, "--resume")
+    assert "already has" in result.output
+
+
+@pytest.mark.usefixtures("saved_often")
+def test_a_full_disk_keeps_the_state(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OutputError("cannot write: No space left on device")
+
+    cut = tmp_path / "cut"
+    with monkeypatch.context() as patch:
+        patch.setattr("slamcli.run.stitch.write_poses", full)
+        with pytest.raises(OutputError):
+            stitched(drive, cut, Session())
+    assert not list(cut.glob(".partial-*"))
+    result = slam("stitch", drive, "-o", cut, *COARSE, "--resume")
+    assert result.exit_code == 0, result.output
+    assert "5 of 5 frames had been located" in result.output
+
+
+@pytest.mark.usefixtures("saved_often")
+def test_a_damaged_state_is_named_and_the_run_begins_anew(drive: Path, tmp_path: Path) -> None:
+    stitched(drive, tmp_path / "whole", Session())
+    cut = tmp_path / "cut"
+    cut_off(drive, cut, "painting 1")
+    state = cut / ".resume" / "mapper.state"
+    state.write_bytes(state.read_bytes()[:-1] + b"?")
+    assert (
+        "its saved state is damaged: --resume" in slam("stitch", drive, "-o", cut, *COARSE).output
+    )
+    notices: list[str] = []
+    stitched(drive, cut, Session(notify=notices.append), resume=True)
+    assert notices[0] == f"{state} is damaged: its checksum differs; the run begins anew"
+    assert contents(cut) == contents(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_request_to_end_is_served_as_ctrl_c(
+    drive: Path, tmp_path: Path, number: signal.Signals
+) -> None:
+    cut = tmp_path / "cut"
+    with subprocess.Popen(command(drive, cut), stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if line.startswith("locating 2/5"):
+                os.kill(process.pid, number)
+                break
+        said = process.stderr.read()
+    assert process.returncode == 130
+    assert said.count("interrupted: stops after this step") == 1
+    assert (cut / ".resume").is_dir()
+    assert (cut / "poses.csv").is_file()
+    assert not list(cut.glob(".partial-*"))
+
+
+def test_a_request_to_end_a_command_that_cannot_stop_halfway_leaves_nothing(
+    drive: Path, tmp_path: Path
+) -> None:
+    views = tmp_path / "views"
+    words = [sys.executable, "-m", "slamcli", "warp", str(drive), "-o", str(views)]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        process.stderr.readline()
+        os.kill(process.pid, signal.SIGTERM)
+        said = process.stderr.read()
+    assert process.returncode == 130
+    assert said.splitlines().count("interrupted") == 1
+    assert list(views.iterdir()) == []
+
+
 def test_a_state_of_another_run_is_not_gone_on_with(tmp_path: Path) -> None:
     first = run_key("a", [tmp_path])
     checkpoint = Checkpoint(tmp_path)
-    checkpoint.open(first, resume=False)
-    checkpoint.save({"frames": 3})
-    assert Checkpoint(tmp_path).open(first, resume=True)
+    assert not checkpoint.begin(first, resume=False, overwrite=False)
+    checkpoint.save({"frames": np.array([3])}, 3, 4)
     checkpoint = Checkpoint(tmp_path)
-    assert checkpoint.open(first, resume=True)
-    assert checkpoint.load() == {"frames": 3}
-    assert not Checkpoint(tmp_path).open(run_key("b", [tmp_path]), resume=True)
+    assert checkpoint.begin(first, resume=True, overwrite=False)
+    assert checkpoint.load()["frames"].tolist() == [3]
+    other = run_key("b", [tmp_path])
+    with pytest.raises(OutputError, match="3 of 4 located"):
+        Checkpoint(tmp_path).begin(other, resume=True, overwrite=False)
+    assert not Checkpoint(tmp_path).begin(other, resume=True, overwrite=True)
     assert not checkpoint.folder.exists()
 
 
-def test_a_state_cannot_bring_foreign_code(tmp_path: Path) -> None:
+def test_a_state_is_no_pickle(tmp_path: Path) -> None:
     checkpoint = Checkpoint(tmp_path)
-    checkpoint.open("key", resume=False)
-    checkpoint.save(time.sleep)
-    assert checkpoint.load() is None
+    checkpoint.begin("key", resume=False, overwrite=False)
+    checkpoint.save({}, 0, 1)
+    checkpoint.state_path.write_bytes(pickle.dumps(time.sleep))
+    with pytest.raises(InputError, match="damaged"):
+        checkpoint.load()

@@ -1,0 +1,99 @@
+"""What a mapper needs, beside its options and readings, to go on as if it had never stopped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import Keyframe, Link, PoseEstimate
+from slamcli.core.telemetry import Georeference
+from slamcli.stages.place_index import PlaceCandidate
+from slamcli.stages.posegraph import SensorOffsets
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GraphState:
+    """A pose graph; the attributes are those of `PoseGraph`, the estimates in their order."""
+
+    estimates: tuple[PoseEstimate, ...]
+    links_before: list[int]
+    links: list[Link]
+    switched_off: tuple[int, ...]
+    georeferences: dict[int, Georeference]
+    offsets: dict[int, SensorOffsets]
+
+
+@dataclass(frozen=True, slots=True)
+class SmootherState:
+    """When the graph was optimised: numbers of frames, and the earliest frame that loops reach."""
+
+    solved_at: int = 0
+    all_solved_at: int = 0
+    closed_at: int = 0
+    reaches_to: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopState:
+    """The keyframes in the order of insertion, and what loop closure knows of them by index.
+
+    Attributes
+    ----------
+    keyframes : list of Keyframe
+    alike : dict of int to list of PlaceCandidate
+        Those before each that look like it.
+    linked : dict of int to list of int
+    counted_links : int
+        Links of the graph that `linked` has.
+    path_lengths_metres : dict of int to float
+    known, searched : tuple of int
+    failed : dict of (int, int) to Pose2
+        The guesses about which pairs did not fit.
+    """
+
+    keyframes: list[Keyframe]
+    alike: dict[int, list[PlaceCandidate]]
+    linked: dict[int, list[int]]
+    counted_links: int
+    path_lengths_metres: dict[int, float]
+    known: tuple[int, ...]
+    searched: tuple[int, ...]
+    failed: dict[tuple[int, int], Pose2]
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingFrames:
+    """The frames that tracking still needs, by index; they are prepared again from their files."""
+
+    keyframes: tuple[int, ...]
+    latest: int | None
+    last_placed: int | None
+    last_lost: int | None
+    motion: Pose2 | None
+    motion_frame: int
+
+    @property
+    def indices(self) -> set[int]:
+        """All of them."""
+        others = (self.latest, self.last_placed, self.last_lost)
+        return {*self.keyframes, *(index for index in others if index is not None)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapperState:
+    """The state of a mapper between two frames.
+
+    Attributes
+    ----------
+    graph : GraphState
+    next_fragment : int
+    smoother : SmootherState
+    loops : LoopState
+    tracking : TrackingFrames
+    """
+
+    graph: GraphState
+    next_fragment: int
+    smoother: SmootherState
+    loops: LoopState
+    tracking: TrackingFrames
