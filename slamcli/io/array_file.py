@@ -55,6 +55,8 @@ def read_arrays(path: Path, magic: bytes) -> tuple[dict[str, Any], dict[str, Any
     InputError
         Names the file, and what is wrong with it.
     """
+    if not path.is_file():
+        raise InputError(f"cannot read {path}: it is no file")
     try:
         data = path.read_bytes()
     except OSError as error:

@@ -7,15 +7,15 @@ import os
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from slamcli.core.arrays import AnyArray
 from slamcli.core.errors import InputError, OutputError
 from slamcli.io.array_file import read_arrays, write_arrays
-from slamcli.io.files import write_text
 
 _FOLDER = ".resume"
-_KEY, _STATE = "run.txt", "mapper.state"
+# The state that was saved last, and the one before it, for when the last is damaged.
+_STATE, _EARLIER = "mapper.state", "mapper.earlier"
 _MAGIC = b"slamcli state 1\n"
 
 
@@ -47,10 +47,10 @@ class Checkpoint:
         """Do not delete the state at the end: the run is not complete."""
         self._kept = True
 
-    @property
-    def tiles(self) -> Path:
-        """Where finished tiles are kept."""
-        return self.folder / "tiles"
+    def tiles(self, options: str) -> Path:
+        """Return where finished tiles are kept that were painted with some options."""
+        digest = hashlib.sha256((self._key + options).encode("utf-8", "surrogateescape"))
+        return self.folder / "tiles" / digest.hexdigest()
 
     @property
     def drawings(self) -> Path:
@@ -80,67 +80,79 @@ class Checkpoint:
             When there is an interrupted run, and neither was given or it is another one.
         """
         self._key = key
-        path = self.folder / _KEY
-        if not path.is_file():
-            # Drawings of a run that was killed before its first state was saved.
+        if self.folder.is_symlink():
+            raise OutputError(f"cannot write {self.folder}: it is a link; delete it")
+        if not any(path.exists() for path in self._paths):
+            # Of a run that was killed before its first state was saved.
             self.close()
             return False
-        same = path.read_bytes() == key.encode()
+        header, _, _ = self._read()
+        # Whose a damaged state is cannot be known; its tiles are found by the key.
+        same = header is None or header.get("key") == key
         if same and resume:
             return True
         if overwrite:
             self.close()
             return False
+        far = "its saved state is damaged"
+        if header is not None:
+            far = f"{header.get('located')} of {header.get('total')} located"
         if same:
             raise OutputError(
-                f"{self._output} has an interrupted run, {self._progress()}: --resume to go on, or "
+                f"{self._output} has an interrupted run, {far}: --resume to go on, or "
                 "--overwrite to begin anew"
             )
         raise OutputError(
-            f"{self._output} has an interrupted run of other frames or options, "
-            f"{self._progress()}: repeat that command with --resume to go on, or --overwrite to "
-            "begin anew"
+            f"{self._output} has an interrupted run of other frames or options, {far}: repeat "
+            "that command with --resume to go on, or --overwrite to begin anew"
         )
 
     def save(self, state: Mapping[str, AnyArray], located: int, total: int) -> None:
-        """Write a state, in place of the one before, of a run that has located some of its frames.
+        """Write a state, beside the one before, of a run that has located some of its frames.
 
         Raises
         ------
         OutputError
         """
-        if not (self.folder / _KEY).is_file():
-            write_text(self.folder / _KEY, self._key)
-        header = {"located": located, "total": total}
-        write_arrays(self.state_path, _MAGIC, header, state)
+        latest, earlier = self._paths
+        header = {"key": self._key, "located": located, "total": total}
+        try:
+            if latest.exists():
+                latest.replace(earlier)
+        except OSError as error:
+            raise OutputError(f"cannot write {latest}: {error.strerror or error}") from error
+        write_arrays(latest, _MAGIC, header, state)
 
-    def load(self) -> dict[str, AnyArray]:
-        """Return the state written last.
-
-        Raises
-        ------
-        InputError
-            Names the file when it cannot be read, or is damaged.
-        """
-        return read_arrays(self.state_path, _MAGIC)[1]
+    def load(self) -> tuple[dict[str, AnyArray] | None, list[str]]:
+        """Return the latest state that can be read, if any, and what is wrong with later ones."""
+        _, state, faults = self._read()
+        return state, faults
 
     def close(self) -> None:
         """Delete the state, the tiles and the drawings."""
         try:
-            # The key first: without it all else means nothing.
-            (self.folder / _KEY).unlink(missing_ok=True)
+            # The states first: without them all else means nothing.
+            for path in self._paths:
+                path.unlink(missing_ok=True)
             if self.folder.exists():
                 shutil.rmtree(self.folder)
         except OSError as error:
             raise OutputError(f"cannot delete {self.folder}: {error.strerror or error}") from error
 
-    def _progress(self) -> str:
-        """Return how far the interrupted run is."""
-        try:
-            header, _ = read_arrays(self.state_path, _MAGIC)
-        except InputError:
-            return "its saved state is damaged"
-        return f"{header.get('located')} of {header.get('total')} located"
+    @property
+    def _paths(self) -> tuple[Path, Path]:
+        """The states, the later one first."""
+        return self.folder / _STATE, self.folder / _EARLIER
+
+    def _read(self) -> tuple[dict[str, Any] | None, dict[str, AnyArray] | None, list[str]]:
+        """Return header and arrays of the latest state that can be read, and all faults."""
+        faults: list[str] = []
+        for path in filter(Path.exists, self._paths):
+            try:
+                return *read_arrays(path, _MAGIC), faults
+            except InputError as error:
+                faults.append(str(error))
+        return None, None, faults
 
 
 def run_key(options: str, paths: Sequence[Path]) -> str:

@@ -19,20 +19,27 @@ STAGING_PREFIX = ".partial-"
 _MAX_SYNCED_SINGLY = 64
 
 
-def write_bytes(path: Path, data: bytes) -> None:
+def write_bytes(path: Path, data: bytes, *, durable: bool = True) -> None:
     """Write a file completely or not at all; raises OutputError that names it."""
-    write_chunks(path, [data])
+    write_chunks(path, [data], durable=durable)
 
 
-def write_chunks(path: Path, chunks: Iterable[bytes]) -> None:
-    """Write a file from chunks, completely or not at all, also when the power fails.
+def write_chunks(path: Path, chunks: Iterable[bytes], *, durable: bool = True) -> None:
+    """Write a file from chunks, completely or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    chunks : iterable of bytes
+    durable : bool
+        Also when the power fails; never so in a staging folder, none of which is promised yet.
 
     Raises
     ------
     OutputError
         Names the file.
     """
-    promised = not any(part.startswith(STAGING_PREFIX) for part in path.parts)
+    durable = durable and not any(part.startswith(STAGING_PREFIX) for part in path.parts)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.")
@@ -40,7 +47,7 @@ def write_chunks(path: Path, chunks: Iterable[bytes]) -> None:
             with os.fdopen(handle, "wb") as stream:
                 for chunk in chunks:
                     stream.write(chunk)
-                if promised:
+                if durable:
                     stream.flush()
                     os.fsync(stream.fileno())
             # mkstemp makes the file private; a result is as readable as the user's umask allows.
@@ -48,7 +55,7 @@ def write_chunks(path: Path, chunks: Iterable[bytes]) -> None:
             os.umask(umask)
             os.chmod(beside, 0o666 & ~umask)  # noqa: PTH101
             os.replace(beside, path)  # noqa: PTH105
-            if promised:
+            if durable:
                 sync_folder(path.parent)
         except BaseException:
             Path(beside).unlink(missing_ok=True)

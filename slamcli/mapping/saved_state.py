@@ -97,3 +97,17 @@ class MapperState:
     smoother: SmootherState
     loops: LoopState
     tracking: TrackingFrames
+
+
+def check(state: MapperState) -> None:
+    """Raise ValueError when a state refers to frames that it does not have."""
+    located = {estimate.index for estimate in state.graph.estimates}
+    keyframes = {keyframe.index for keyframe in state.loops.keyframes}
+    ends = {end for link in state.graph.links for end in (link.a, link.b)}
+    counted = not located or 0 <= min(located) <= max(located) == len(located) - 1
+    if not (
+        counted
+        and ends | keyframes | state.tracking.indices <= located
+        and {*state.loops.alike, *state.loops.path_lengths_metres} <= keyframes
+    ):
+        raise ValueError("it refers to frames that it lacks")

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import io
 import re
+import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -62,7 +65,8 @@ class TileStore:
     Parameters
     ----------
     folder : Path
-        Made when missing. Tiles that are already in it, of an interrupted run, are kept.
+        Made when missing. Tiles that are already in it, of an interrupted run, are kept, but for
+        damaged ones.
     tile_pixels : int
     layers : tuple of str
         Which layers to keep; see `StoredTile`.
@@ -81,7 +85,8 @@ class TileStore:
             name = _NAME.fullmatch(path.name)
             if name is not None:
                 row, column = int(name[1]), int(name[2])
-                self._entries[row, column] = _entry(self._read(row, column))
+                with suppress(InputError):
+                    self._entries[row, column] = _entry(self._read(row, column))
 
     def __contains__(self, key: tuple[int, int]) -> bool:
         return key in self._entries
@@ -104,7 +109,8 @@ class TileStore:
                 arrays[layer] = _layer(tile, layer)
             np.savez(stream, allow_pickle=False, **arrays)
             self._entries[row, column] = _entry_of(mask, has_obstacle=tile.obstacles is not None)
-        write_bytes(self._path(row, column), stream.getvalue())
+        # A tile that the power failure cuts is found damaged, and is painted again.
+        write_bytes(self._path(row, column), stream.getvalue(), durable=False)
 
     def get(self, row: int, column: int) -> StoredTile | None:
         """Return a tile; None where nothing was seen."""
@@ -197,15 +203,19 @@ class TileStore:
     def _read(self, row: int, column: int) -> StoredTile | None:
         path = self._path(row, column)
         try:
-            with np.load(path, allow_pickle=False) as arrays:
+            with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as arrays:
                 if "empty" in arrays:
                     return None
                 mask = np.unpackbits(arrays["mask"], axis=1) * np.uint8(255)
                 obstacles = arrays.get("obstacles")
                 layers = {layer: arrays[layer] for layer in self.layers}
-                return StoredTile(arrays["image"], mask, obstacles, layers)
-        except (OSError, ValueError, KeyError) as error:
+                tile = StoredTile(arrays["image"], mask, obstacles, layers)
+        except (OSError, EOFError, ValueError, KeyError, BadZipFile, zlib.error) as error:
             raise InputError(f"cannot read the finished tile {path}: {error}") from error
+        parts = [tile.image, tile.mask, *layers.values()]
+        if any(part.shape[:2] != (self.tile_pixels, self.tile_pixels) for part in parts):
+            raise InputError(f"cannot read the finished tile {path}: its size is wrong")
+        return tile
 
 
 def put_part(canvas: GenericArray, part: GenericArray, row: int, column: int) -> None:

@@ -121,7 +121,8 @@ def paint(
     )
     # More frames would change the poses: a resumed run cannot use the tiles of this one.
     unfinished = staging / "tiles"
-    tiles = unfinished if session.interruption.happened else checkpoint.tiles
+    kept = resume.tiles(located.drive.options, checkpoint)
+    tiles = unfinished if session.interruption.happened else kept
     painted = outputs.write_maps(scenes, products, staging, tiles, session)
     remove_folder(unfinished)
     return painted

@@ -5,16 +5,21 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+
+import cv2
 
 from slamcli import __version__
+from slamcli.core.config import ProductOptions
 from slamcli.core.errors import InputError
 from slamcli.io.checkpoints import Checkpoint, run_key
 from slamcli.io.record_columns import from_columns, to_columns
 from slamcli.mapping.mapper import Mapper
-from slamcli.mapping.saved_state import MapperState
+from slamcli.mapping.saved_state import MapperState, check
 from slamcli.run.frame_loop import read_and_prepare
 from slamcli.run.session.session import Session
 from slamcli.run.stitch.drive import Drive
+from slamcli.run.stitch.options import StitchOptions
 
 # Raised whenever a class of the saved state moves or changes its fields: an older state is then
 # another run's, of which there is nothing to resume.
@@ -31,32 +36,55 @@ def begin(drive: Drive, checkpoint: Checkpoint, *, overwrite: bool) -> bool:
     OutputError
         When there is one that was cut off, and it is neither to be resumed nor overwritten.
     """
-    # How a run is reported is no part of what it computes.
-    plain = replace(drive.options, resume=False, strict=False)
-    key = run_key(f"{__version__} layout {_STATE_LAYOUT} {plain!r}", drive.paths)
+    # A run may be gone on with that is painted, written or reported in another way.
+    located_by = replace(
+        drive.options,
+        products=ProductOptions(),
+        self_calibrate=False,
+        export=(),
+        resume=False,
+        strict=False,
+    )
+    key = run_key(f"{__version__} layout {_STATE_LAYOUT} {located_by!r}", drive.paths)
     return checkpoint.begin(key, resume=drive.options.resume, overwrite=overwrite)
 
 
 def resume(drive: Drive, checkpoint: Checkpoint, session: Session) -> None:
     """Bring the drive's mapper to where a run that was cut off has saved its state.
 
-    When that is damaged the run begins anew; the finished tiles are of use all the same.
+    When the latest state is damaged, that is to the one before; without one the run begins anew,
+    and the finished tiles are of use all the same.
+
+    Raises
+    ------
+    InputError
+        When a state whose checksum is right cannot be that of this run.
     """
     files = drive.inputs.files
+    columns, faults = checkpoint.load()
+    for fault in faults:
+        session.notify(f"{fault}; the run goes on without it")
+    if columns is None:
+        return
     try:
-        state = from_columns(MapperState, checkpoint.load())
+        state = from_columns(MapperState, columns)
+        check(state)
         prepared = {
             index: read_and_prepare(drive.mapper.prepare, files[index])
             for index in sorted(state.tracking.indices)
         }
         drive.mapper.restore(state, prepared)
-    except InputError as error:
-        session.notify(f"{error}; the run begins anew")
-    except (ValueError, LookupError) as error:
-        session.notify(f"{checkpoint.state_path} is damaged: {error}; the run begins anew")
-    else:
-        located = len(drive.mapper.estimates)
-        session.notify(f"resumed: {located} of {len(files)} frames had been located")
+    except (ValueError, LookupError, cv2.error) as error:
+        raise InputError(
+            f"the state in {checkpoint.folder} is of no use ({error}); --overwrite to begin anew"
+        ) from error
+    located = len(drive.mapper.estimates)
+    session.notify(f"resumed: {located} of {len(files)} frames had been located")
+
+
+def tiles(options: StitchOptions, checkpoint: Checkpoint) -> Path:
+    """Return the folder of the tiles that are painted with these options."""
+    return checkpoint.tiles(f"{options.products!r} {options.self_calibrate}")
 
 
 def save(mapper: Mapper, checkpoint: Checkpoint, total: int) -> None:

@@ -18,7 +18,7 @@ import pytest
 from command_line import slam
 
 from slamcli.core.config import MapperOptions, PaintOptions, ProductOptions
-from slamcli.core.errors import InputError, OutputError
+from slamcli.core.errors import OutputError
 from slamcli.io.checkpoints import Checkpoint, run_key
 from slamcli.run.session.session import Session
 from slamcli.run.stitch import resume, stitch
@@ -183,19 +183,49 @@ def test_a_full_disk_keeps_the_state(
 
 
 @pytest.mark.usefixtures("saved_often")
-def test_a_damaged_state_is_named_and_the_run_begins_anew(drive: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("damage", ["one byte", "cut", "empty", "both"])
+def test_a_damaged_state_is_named_and_the_one_before_it_is_used(
+    drive: Path, tmp_path: Path, damage: str
+) -> None:
     stitched(drive, tmp_path / "whole", Session())
     cut = tmp_path / "cut"
-    cut_off(drive, cut, "painting 1")
+    cut_off(drive, cut, "painting 2")
     state = cut / ".resume" / "mapper.state"
-    state.write_bytes(state.read_bytes()[:-1] + b"?")
-    assert (
-        "its saved state is damaged: --resume" in slam("stitch", drive, "-o", cut, *COARSE).output
-    )
+    data = state.read_bytes()
+    damaged = {"cut": data[: len(data) // 2], "empty": b""}.get(damage, data[:-1] + b"?")
+    state.write_bytes(damaged)
+    progress = "4 of 5 located"
+    if damage == "both":
+        (cut / ".resume" / "mapper.earlier").write_bytes(damaged)
+        progress = "its saved state is damaged"
+    assert f"{progress}: --resume" in slam("stitch", drive, "-o", cut, *COARSE).output
     notices: list[str] = []
-    stitched(drive, cut, Session(notify=notices.append), resume=True)
-    assert notices[0] == f"{state} is damaged: its checksum differs; the run begins anew"
+    stages: list[str] = []
+    stitched(
+        drive,
+        cut,
+        Session(progress=lambda s, d, _: stages.append(f"{s} {d}"), notify=notices.append),
+        resume=True,
+    )
+    assert notices[0].startswith(f"{state} is damaged: ")
+    assert notices[0].endswith("; the run goes on without it")
+    assert ("resumed: 4 of 5 frames had been located" in notices) == (damage != "both")
+    assert "painting 1" not in stages
     assert contents(cut) == contents(tmp_path / "whole")
+
+
+@pytest.mark.usefixtures("saved_often")
+def test_a_damaged_tile_is_painted_again(drive: Path, tmp_path: Path) -> None:
+    stitched(drive, tmp_path / "whole", Session())
+    for number, damage in enumerate((b"", b"PK\3\4", None)):
+        cut = tmp_path / str(number)
+        cut_off(drive, cut, "painting 2")
+        tile = next(iter((cut / ".resume" / "tiles").rglob("*.npz")))
+        data = tile.read_bytes()
+        middle = len(data) // 2
+        tile.write_bytes(data[:middle] + b"????" + data[middle + 4 :] if damage is None else damage)
+        stitched(drive, cut, Session(), resume=True)
+        assert contents(cut) == contents(tmp_path / "whole")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
@@ -239,7 +269,10 @@ def test_a_state_of_another_run_is_not_gone_on_with(tmp_path: Path) -> None:
     checkpoint.save({"frames": np.array([3])}, 3, 4)
     checkpoint = Checkpoint(tmp_path)
     assert checkpoint.begin(first, resume=True, overwrite=False)
-    assert checkpoint.load()["frames"].tolist() == [3]
+    state, faults = checkpoint.load()
+    assert state is not None
+    assert state["frames"].tolist() == [3]
+    assert not faults
     other = run_key("b", [tmp_path])
     with pytest.raises(OutputError, match="3 of 4 located"):
         Checkpoint(tmp_path).begin(other, resume=True, overwrite=False)
@@ -252,5 +285,6 @@ def test_a_state_is_no_pickle(tmp_path: Path) -> None:
     checkpoint.begin("key", resume=False, overwrite=False)
     checkpoint.save({}, 0, 1)
     checkpoint.state_path.write_bytes(pickle.dumps(time.sleep))
-    with pytest.raises(InputError, match="damaged"):
-        checkpoint.load()
+    state, faults = checkpoint.load()
+    assert state is None
+    assert "is damaged" in faults[0]
