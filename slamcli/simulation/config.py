@@ -33,6 +33,75 @@ class CameraOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class CourseLayout:
+    """White lines and squares on a dark board: x along it from its left end, y from its middle.
+
+    Attributes
+    ----------
+    board_metres : (float, float)
+        Length and width.
+    line_metres, square_metres : float
+        Width of a line; side of a square.
+    lines : tuple of ((x, y), (x, y))
+        Along either axis.
+    squares : tuple of (x, y)
+        Their corners of least x and y.
+    """
+
+    board_metres: tuple[float, float]
+    line_metres: float
+    square_metres: float
+    lines: tuple[tuple[tuple[float, float], tuple[float, float]], ...]
+    squares: tuple[tuple[float, float], ...]
+
+
+# The IEEE SoutheastCon hardware competition, as we draw its course.
+COURSE_OF_2015 = CourseLayout(
+    board_metres=(2.4384, 1.2192),
+    line_metres=0.0254,
+    square_metres=0.3048,
+    lines=(
+        ((0.45, -0.56), (0.45, 0.56)),
+        ((0.385, 0.0), (0.45, 0.0)),
+        ((0.60, 0.0), (2.25, 0.0)),
+        ((0.60, 0.0), (0.60, -0.56)),
+        ((0.76, 0.0), (0.76, 0.20)),
+        ((1.12, 0.0), (1.12, -0.20)),
+        ((1.42, 0.0), (1.42, 0.20)),
+        ((1.88, 0.0), (1.88, -0.20)),
+        ((2.25, 0.0), (2.25, 0.40)),
+    ),
+    squares=((0.08, -0.1524), (0.61, 0.20), (0.97, -0.5048), (1.27, 0.20), (1.73, -0.5048)),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class FloorOptions:
+    """What a floor is made of, besides its kind.
+
+    Attributes
+    ----------
+    wear : float
+        0 to 1: how scuffed and dusty a floor is; at 0 all tiles are alike, and planks have only
+        five prints.
+    tile_metres : float
+        Side of a tile, from grout to grout (tiles, carpet tiles), or of a square of paper.
+    grout_metres : float
+        Width of the grout; of a ruled line on paper.
+    marks : int
+        Spots on every tile, each at a place of its own: 3 to 10 mm, 10 to 40 % darker or lighter.
+    layout : CourseLayout
+        Of a line course.
+    """
+
+    wear: float = 0.5
+    tile_metres: float = 0.10
+    grout_metres: float = 0.003
+    marks: int = 0
+    layout: CourseLayout = field(default_factory=lambda: COURSE_OF_2015)
+
+
+@dataclass(frozen=True, slots=True)
 class DisturbanceOptions:
     """Disturbances of the pictures: noise, blur, light, a rocking camera, obstacles.
 
@@ -64,6 +133,41 @@ class DisturbanceOptions:
     bounce_metres: float = 0.0
     boxes: int = 0
     walkers: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ImagingOptions:
+    """What is between the floor and the file: lens, sensor, and the camera's own processing.
+
+    Attributes
+    ----------
+    light : bool
+        Floors reflect light, on a linear scale, and the camera encodes it (sRGB); else pictures
+        are blended of encoded gray levels, as the first worlds were.
+    lens_blur_pixels : float
+        Standard deviation of the lens's point spread.
+    bayer : bool
+        One colour a pixel, and demosaicing.
+    sharpening : float
+        Of the encoded picture: share of an unsharp mask, with its halo.
+    rolling_shutter : float
+        Share of a frame's step that the robot goes from the first row to the last.
+    auto_exposure : bool
+        Every picture is brought to the same mean.
+    lamp_share : float
+        Greatest change of the light by a pattern that moves with the camera.
+    dust : int
+        Spots on the glass.
+    """
+
+    light: bool = True
+    lens_blur_pixels: float = 0.5
+    bayer: bool = False
+    sharpening: float = 0.0
+    rolling_shutter: float = 0.0
+    auto_exposure: bool = False
+    lamp_share: float = 0.0
+    dust: int = 0
 
 
 @dataclass(frozen=True, slots=True)

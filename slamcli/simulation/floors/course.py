@@ -1,4 +1,4 @@
-"""The course floor: the 2015 IEEE SoutheastCon hardware competition's board, as drawn here."""
+"""Line courses: white lines and squares on a dark board, such as the one of SoutheastCon 2015."""
 
 from __future__ import annotations
 
@@ -6,38 +6,23 @@ import numpy as np
 
 from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array
 from slamcli.core.geometry import Grid, apply_homography
+from slamcli.simulation.config import CourseLayout, FloorOptions
 from slamcli.simulation.floors.noise import smooth_noise
 from slamcli.simulation.floors.poured import concrete
 
-BOARD_METRES = (2.4384, 1.2192)
-SQUARE_METRES = 0.3048
-LINE_METRES = 0.0254
-# The course as drawn here: x along the board from its left end, y from its middle line.
-_LINES = (
-    ((0.45, -0.56), (0.45, 0.56)),
-    ((0.385, 0.0), (0.45, 0.0)),
-    ((0.60, 0.0), (2.25, 0.0)),
-    ((0.60, 0.0), (0.60, -0.56)),
-    ((0.76, 0.0), (0.76, 0.20)),
-    ((1.12, 0.0), (1.12, -0.20)),
-    ((1.42, 0.0), (1.42, 0.20)),
-    ((1.88, 0.0), (1.88, -0.20)),
-    ((2.25, 0.0), (2.25, 0.40)),
-)
-_SQUARES = ((0.08, -0.1524), (0.61, 0.20), (0.97, -0.5048), (1.27, 0.20), (1.73, -0.5048))
 
-
-def course(grid: Grid, wear: float, seed: int) -> UInt8Array:
+def course(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
     """Paint the board on a concrete floor; `wear` 0 is pure black and white."""
-    board = _inside_board(grid)
+    layout, wear = options.layout, options.wear
+    board = _inside_board(grid, layout)
     if wear > 0:
         dark, light = _worn_paints(grid, wear, seed)
-        surround = concrete(grid, wear, seed).astype(np.float32)
+        surround = concrete(grid, options, seed).astype(np.float32)
     else:
         shape = (grid.height, grid.width)
         dark, light = np.full(shape, 12.0, np.float32), np.full(shape, 235.0, np.float32)
         surround = np.full((grid.height, grid.width, 3), 12.0, np.float32)
-    paint = _painted(grid)
+    paint = _painted(grid, layout)
     gray = (1.0 - paint) * dark + paint * light
     tinted = gray[..., None] * np.array((1.03, 1.0, 0.98), np.float32)
     mixed = board[..., None] * tinted + (1.0 - board[..., None]) * surround
@@ -63,21 +48,22 @@ def _worn_paints(grid: Grid, wear: float, seed: int) -> tuple[Float32Array, Floa
     return dark.astype(np.float32), light.astype(np.float32)
 
 
-def _inside_board(grid: Grid) -> Float32Array:
+def _inside_board(grid: Grid, layout: CourseLayout) -> Float32Array:
     """Return (h, w): how much of each pixel lies on the board, whose centre is the origin."""
-    length, width = BOARD_METRES
+    length, width = layout.board_metres
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (length / 2, width / 2)
     return _filled(grid, [corners])
 
 
-def _painted(grid: Grid) -> Float32Array:
+def _painted(grid: Grid, layout: CourseLayout) -> Float32Array:
     """Return (h, w): how much of each pixel is white paint."""
     shapes = []
-    for start, end in _LINES:
-        low, high = np.minimum(start, end) - LINE_METRES / 2, np.maximum(start, end)
-        shapes.append(_rectangle(low, high + LINE_METRES / 2))
-    shapes += [_rectangle(np.array(low), np.array(low) + SQUARE_METRES) for low in _SQUARES]
-    middle = np.array([BOARD_METRES[0] / 2, 0.0])
+    half = layout.line_metres / 2
+    for start, end in layout.lines:
+        shapes.append(_rectangle(np.minimum(start, end) - half, np.maximum(start, end) + half))
+    for low in layout.squares:
+        shapes.append(_rectangle(np.array(low), np.array(low) + layout.square_metres))
+    middle = np.array([layout.board_metres[0] / 2, 0.0])
     return _filled(grid, [shape - middle for shape in shapes])
 
 

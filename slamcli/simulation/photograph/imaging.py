@@ -1,0 +1,139 @@
+"""The camera behind the lens: from light on the sensor to the 8-bit picture that it writes.
+
+Light is on a linear scale on which 255 saturates the sensor. The order is that of a real camera:
+optics (blur, vignetting, dust), exposure, a lamp's own pattern, photon and read noise, colour
+filter array and demosaicing, sharpening, gamma (sRGB, IEC 61966-2-1), rounding to 8 bits.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from slamcli.core.arrays import Float32Array, UInt8Array
+from slamcli.core.camera.lens import image_centre
+from slamcli.simulation.config import ImagingOptions
+from slamcli.simulation.light import SATURATION, encode
+
+# A gray card is exposed to this share of saturation (ISO 2720's mid-tone).
+_MID_TONE = 0.18
+# Read noise over the photon noise of a full well: 4 electrons beside 65 of some 4,200.
+_READ_NOISE_SHARE = 0.06
+_FIXED = 0
+
+
+class Sensor:
+    """Develops pictures of one camera.
+
+    Parameters
+    ----------
+    image_size : (int, int)
+        Width and height in pixels.
+    options : ImagingOptions
+    vignetting : float
+        Share of the light lost in the corners.
+    seed : int
+        Of what stays the same in all its pictures: dust on the glass.
+    """
+
+    def __init__(
+        self, image_size: tuple[int, int], options: ImagingOptions, vignetting: float, seed: int
+    ) -> None:
+        self.options = options
+        self._fixed = vignetting_image(image_size, vignetting)
+        self._fixed = self._fixed * _lamp_and_dust(image_size, options, seed)
+
+    def develop(
+        self,
+        light: Float32Array,
+        gain: float,
+        noise_gray: float,
+        generator: np.random.Generator,
+    ) -> UInt8Array:
+        """Return (H, W, 3) uint8 BGR of (H, W, 3) linear light.
+
+        Parameters
+        ----------
+        light : (H, W, 3) float32, BGR
+            Of a scene in which white reflects 255.
+        gain : float
+            Exposure: how much brighter than as it is.
+        noise_gray : float
+            Standard deviation of an encoded pixel at the mid-tone, before demosaicing.
+        generator : Generator
+            Of this picture's noise.
+        """
+        options = self.options
+        if options.lens_blur_pixels > 0:
+            light = cv2.GaussianBlur(light, (0, 0), options.lens_blur_pixels)
+        light = light * self._fixed * np.float32(gain)
+        if options.auto_exposure:
+            light *= np.float32(_MID_TONE * SATURATION / max(float(light.mean()), 1e-3))
+        if options.bayer:
+            light = _demosaic(_with_noise(_mosaic(light), noise_gray, generator))
+        else:
+            light = _with_noise(light, noise_gray, generator)
+        code = encode(light)
+        if options.sharpening > 0:
+            soft = cv2.GaussianBlur(code, (0, 0), 1.0)
+            code = code + np.float32(options.sharpening) * (code - soft)
+        return np.clip(np.round(code), 0, 255).astype(np.uint8)
+
+
+def vignetting_image(image_size: tuple[int, int], share: float) -> Float32Array:
+    """Return (H, W, 1): the light lost towards the corners, by the square of the radius."""
+    width, height = image_size
+    centre_x, centre_y = image_centre(image_size)
+    x, y = np.meshgrid(np.arange(width) - centre_x, np.arange(height) - centre_y)
+    radius_squared = (x * x + y * y) / (centre_x**2 + centre_y**2)
+    return (1.0 - share * radius_squared).astype(np.float32)[..., None]
+
+
+def _lamp_and_dust(image_size: tuple[int, int], options: ImagingOptions, seed: int) -> Float32Array:
+    """Return (H, W, 1): what a lamp at the camera and dust on the glass make of every picture."""
+    width, height = image_size
+    generator = np.random.default_rng([seed, _FIXED])
+    x, y = np.meshgrid(np.linspace(-1.0, 1.0, width), np.linspace(-1.0, 1.0, height))
+    phase = generator.uniform(0.0, math.tau, 2)
+    lamp = np.sin(4.1 * x + phase[0]) * np.sin(3.3 * y + phase[1])
+    pattern = (1.0 + options.lamp_share * lamp).astype(np.float32)
+    for _ in range(options.dust):
+        place = generator.uniform(0, width), generator.uniform(0, height)
+        radius = generator.uniform(0.003, 0.012) * width
+        spot = np.zeros((height, width), np.float32)
+        cv2.circle(spot, (round(place[0]), round(place[1])), max(1, round(radius)), 1.0, -1)
+        soft = cv2.GaussianBlur(spot, (0, 0), 0.4 * radius + 0.5)
+        pattern *= 1.0 - np.float32(generator.uniform(0.2, 0.6)) * soft
+    return pattern[..., None]
+
+
+def _with_noise(
+    light: Float32Array, noise_gray: float, generator: np.random.Generator
+) -> Float32Array:
+    """Return light with photon noise, whose variance is the number of electrons, and read noise."""
+    if noise_gray == 0.0:
+        return light
+    # So large a well that the noise of the mid-tone, encoded, is what is asked for.
+    slope = 1.055 / 2.4 * _MID_TONE ** (1 / 2.4 - 1)
+    full_well = _MID_TONE * (SATURATION * slope / noise_gray) ** 2
+    electrons = np.maximum(light, 0.0) * np.float32(full_well / SATURATION)
+    sigma = np.sqrt(electrons + np.float32(_READ_NOISE_SHARE**2 * full_well))
+    noisy = electrons + sigma * generator.standard_normal(light.shape, dtype=np.float32)
+    return noisy * np.float32(SATURATION / full_well)
+
+
+def _mosaic(light: Float32Array) -> Float32Array:
+    """Return (H, W): one colour a pixel, as a Bayer filter (RGGB) lets through."""
+    raw = light[..., 1].copy()
+    raw[0::2, 0::2] = light[0::2, 0::2, 2]
+    raw[1::2, 1::2] = light[1::2, 1::2, 0]
+    return raw
+
+
+def _demosaic(raw: Float32Array) -> Float32Array:
+    """Return (H, W, 3) BGR light of a Bayer mosaic, by edge-aware interpolation."""
+    scaled = np.clip(raw, 0.0, SATURATION) * np.float32(65535.0 / SATURATION)
+    full = cv2.demosaicing(np.round(scaled).astype(np.uint16), cv2.COLOR_BayerRGGB2BGR_EA)
+    return full.astype(np.float32) * np.float32(SATURATION / 65535.0)
