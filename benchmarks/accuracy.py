@@ -61,7 +61,7 @@ def simulate(folder: Path, drive: str, seed: int) -> None:
     """Take a drive's frames, unless they are there."""
     if not (folder / "truth.csv").exists():
         floor, path, length, frames = DRIVES[drive]
-        course = ("--floor", floor, "--path", path, "--length", str(length))
+        course = ("--no-light", "--floor", floor, "--path", path, "--length", str(length))
         run("simulate", str(folder), *course, "--frames", str(frames), "--seed", str(seed))
 
 

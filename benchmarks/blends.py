@@ -27,6 +27,7 @@ from slamcli.core.records import Frame, PosedFrame
 from slamcli.io.calibrations import load_calibration
 from slamcli.io.frames import list_frames, read_frame
 from slamcli.simulation import floors, photograph
+from slamcli.simulation.config import FloorOptions
 from slamcli.stages.mosaic import exposure, tiles
 from slamcli.stages.mosaic.blend import BLENDS
 from slamcli.stages.mosaic.exposure import Exposure
@@ -131,7 +132,7 @@ def true_floor(drive: Drive, name: str, grid: Grid) -> NDArray[np.uint8]:
         times * grid.width,
         times * grid.height,
     )
-    floor = floors.make_floor(name, 0.5, resolution, 0).region(fine)
+    floor = floors.make_floor(name, FloorOptions(wear=0.5), resolution, 0).region(fine)
     size = (grid.width, grid.height)
     return np.asarray(cv2.resize(floor, size, interpolation=cv2.INTER_AREA), np.uint8)
 

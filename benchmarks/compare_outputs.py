@@ -47,7 +47,10 @@ COMMANDS = [
     ("evaluate", "evaluate stitch_1/poses.csv truth.csv --json"),
     ("warp", "warp frames -c calibration.yaml -o warped"),
     ("detect", "detect frames -c calibration.yaml -o features"),
-    ("simulate", "simulate drive --floor tiles --frames 6 --size 320x240 --boxes 2 --seed 4"),
+    (
+        "simulate",
+        "simulate drive --floor tiles --frames 6 --size 320x240 --boxes 2 --seed 4 --no-light",
+    ),
     ("match_facade", "match appendix_a/facade_turned.jpg appendix_a/facade.jpg --json"),
     ("match_portrait", "match appendix_a/portrait_turned.jpg appendix_a/portrait.jpg --json"),
     ("match_field", "match appendix_a/figure.jpg appendix_a/field.jpg --json -o match.png"),

@@ -23,7 +23,7 @@ from slamcli.core.records import FloorMap, Frame, Keyframe, PoseEstimate
 from slamcli.mapping.localizer import Locator
 from slamcli.mapping.mapper import Mapper
 from slamcli.simulation import floors, photograph
-from slamcli.simulation.config import CameraOptions, DisturbanceOptions
+from slamcli.simulation.config import CameraOptions, DisturbanceOptions, FloorOptions
 
 CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
 FLOOR_METRES_PER_PIXEL = 0.0005
@@ -60,7 +60,7 @@ class World:
 
     def __init__(self, floor: str) -> None:
         camera = photograph.make_camera(CAMERA)
-        surface = floors.make_floor(floor, 0.5, FLOOR_METRES_PER_PIXEL, seed=5)
+        surface = floors.make_floor(floor, FloorOptions(wear=0.5), FLOOR_METRES_PER_PIXEL, seed=5)
         self._photographer = photograph.Photographer(photograph.World(surface), camera)
         self.floor, self.camera, self.poses = floor, camera, lanes()
 

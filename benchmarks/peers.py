@@ -33,6 +33,7 @@ from slamcli.core.geometry import Grid, Pose2
 from slamcli.io.calibrations import load_calibration
 from slamcli.io.frames import list_frames
 from slamcli.simulation import floors, photograph
+from slamcli.simulation.config import FloorOptions
 
 SLAM = (sys.executable, "-m", "slamcli")
 # Where the simulator's course drives start in the floor's own frame.
@@ -129,7 +130,7 @@ def true_floor(name: str, drive: Path, seed: int, count: int) -> NDArray[np.uint
     corners = np.vstack([places.min(axis=0) - 1.5, places.max(axis=0) + 1.5])
     grid = Grid.covering(corners, TRUTH_METRES_PER_PIXEL)
     resolution = photograph.texture_metres_per_pixel(load_calibration(drive / "camera.yaml"))
-    floor = floors.make_floor(name, 0.5, resolution, seed)
+    floor = floors.make_floor(name, FloorOptions(wear=0.5), resolution, seed)
     return floor.region(grid)
 
 
@@ -246,7 +247,7 @@ def table(outcomes: list[Outcome]) -> str:
 def simulate(drive: Path, floor: str, frames: int, size: str, length: float) -> None:
     """Make a drive to compare on."""
     options = ["--floor", floor, "--frames", str(frames), "--size", size, "--length", str(length)]
-    command = [*SLAM, "simulate", str(drive), *options, "--path", "loop"]
+    command = [*SLAM, "simulate", str(drive), *options, "--path", "loop", "--no-light"]
     subprocess.run(command, check=True, capture_output=True)
 
 

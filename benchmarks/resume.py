@@ -51,7 +51,7 @@ def main() -> None:
     generator = random.Random(arguments.seed)
     with tempfile.TemporaryDirectory() as folder:
         drive, whole = Path(folder) / "drive", Path(folder) / "whole"
-        simulate = ["--frames", str(arguments.frames), "--size", arguments.size, "--path", "loop"]
+        simulate = ["--frames", str(arguments.frames), "--size", arguments.size, "--no-light"]
         subprocess.run([*SLAM, "simulate", str(drive), *simulate], check=True, capture_output=True)
         command = [*SLAM, "stitch", str(drive / "frames"), "-c", str(drive / "camera.yaml")]
         started = time.monotonic()

@@ -29,7 +29,7 @@ from slamcli.core.records import Frame
 from slamcli.io.frames import read_image
 from slamcli.mapping.mapper import Mapper
 from slamcli.simulation import drive, floors, photograph
-from slamcli.simulation.config import CameraOptions, DisturbanceOptions
+from slamcli.simulation.config import CameraOptions, DisturbanceOptions, FloorOptions
 
 FALSE_METRES, FALSE_DEGREES = 0.05, 2.0
 FLOOR_METRES_PER_PIXEL = 0.0005
@@ -158,7 +158,7 @@ def take_frames(
     legs = drive.send_walkers(poses[:-1], walkers, FRAME_RATE_HERTZ, generator)
     room = None
     if world.room_metres:
-        wall = floors.make_wall(world.wear, 0.002, seed)
+        wall = floors.make_wall(FloorOptions(wear=world.wear), 0.002, seed)
         room = photograph.Room((0.0, 0.0), world.room_metres, wall)
     scene = photograph.World(make_floor(world, seed), legs, room=room)
     photographer = photograph.Photographer(scene, calibration)
@@ -179,7 +179,9 @@ def take_frames(
 def make_floor(world: World, seed: int) -> floors.Floor:
     """Return a world's floor; a picture is read from the folder in SLAMCLI_DATA."""
     if world.floor in floors.FLOORS:
-        return floors.make_floor(world.floor, world.wear, FLOOR_METRES_PER_PIXEL, seed)
+        return floors.make_floor(
+            world.floor, FloorOptions(wear=world.wear), FLOOR_METRES_PER_PIXEL, seed
+        )
     picture = read_image(Path(os.environ["SLAMCLI_DATA"]) / world.floor)
     return floors.picture_floor(picture, 2 * FLOOR_METRES_PER_PIXEL)
 

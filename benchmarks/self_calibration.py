@@ -85,7 +85,7 @@ def simulate(folder: Path, world: World, frames: int, size: str, seed: int) -> N
     """Simulate the drive, and write the wrong camera beside the right one."""
     if not (folder / "camera.yaml").exists():
         drive = ("--floor", world.floor, "--path", world.path, "--length", world.length_metres)
-        camera = ("--frames", frames, "--size", size, "--seed", seed, "--k1", K1)
+        camera = ("--frames", frames, "--size", size, "--seed", seed, "--k1", K1, "--no-light")
         run("simulate", folder, *drive, *camera, *world.more)
     right = load_calibration(folder / "camera.yaml")
     off = np.zeros(7)

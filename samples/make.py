@@ -14,13 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamcli.io.files import write_image, write_text
+from slamcli.run.session.session import Session
 from slamcli.run.simulate import simulate
-from slamcli.simulation.config import SimulationOptions
+from slamcli.simulation.config import FloorOptions, ImagingOptions, SimulationOptions
 
 FOLDER = Path(__file__).resolve().parent
 WHITE = (255, 255, 255)
 COURSE = SimulationOptions(
-    floor="course", wear=0.5, path="loop", length_metres=3.2, frames=40, jpeg_quality=85, seed=7
+    floor="course",
+    surface=FloorOptions(wear=0.5),
+    imaging=ImagingOptions(light=False),
+    path="loop",
+    length_metres=3.2,
+    frames=40,
+    jpeg_quality=85,
+    seed=7,
 )
 
 Picture = NDArray[np.uint8]
@@ -253,7 +261,7 @@ def make_facade(generator: np.random.Generator) -> tuple[Picture, Picture, tuple
 
 def main() -> None:
     """Write samples/course and samples/appendix_a."""
-    simulate(FOLDER / "course", COURSE, workers=2, overwrite=True, progress=lambda *_: None)
+    simulate(FOLDER / "course", COURSE, overwrite=True, session=Session(workers=2))
     rows = ["first,second,scale,rotation_degrees,x,y"]
     pairs = (
         ("figure", "field", make_figure_in_field),

@@ -9,14 +9,14 @@ import numpy as np
 import slamcli
 from slamcli.core.geometry import Pose2
 from slamcli.simulation import floors, photograph
-from slamcli.simulation.config import CameraOptions, DisturbanceOptions
+from slamcli.simulation.config import CameraOptions, DisturbanceOptions, FloorOptions
 
 CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
 
 
 def make_photographer(seed: int = 3, camera: CameraOptions = CAMERA) -> photograph.Photographer:
     """Return a camera over an asphalt floor, another one for each seed."""
-    floor = floors.make_floor("asphalt", 0.0, 0.001, seed=seed)
+    floor = floors.make_floor("asphalt", FloorOptions(wear=0.0), 0.001, seed=seed)
     return photograph.Photographer(photograph.World(floor), photograph.make_camera(camera))
 
 

@@ -19,12 +19,15 @@ from slamcli.simulation.config import SimulationOptions
 @options.floor_options
 @options.path_options
 @options.camera_options
+@options.imaging_options
 @options.disturbance_options
 @options.output_options
 @common.workers
 @options.seed_option
 @common.overwrite
-def simulate(output: Path, workers: int | None, overwrite: bool, **flags: Any) -> None:
+def simulate(
+    output: Path, layout: Path | None, workers: int | None, overwrite: bool, **flags: Any
+) -> None:
     """Simulate a drive over a floor, with ground truth.
 
     OUTPUT is a folder for the frames, a calibration photo, the true poses, and the readings of
@@ -39,5 +42,6 @@ def simulate(output: Path, workers: int | None, overwrite: bool, **flags: Any) -
             filled(SimulationOptions(), flags),
             overwrite=overwrite,
             session=session,
+            layout=layout,
         )
     click.echo("\n".join(lines))

@@ -22,9 +22,10 @@ from slamcli.io.files import write_image
 from slamcli.io.frames import read_image
 from slamcli.io.outputs import output_folder
 from slamcli.io.trajectories import read_path
+from slamcli.run.layouts import read_layout
 from slamcli.run.session.session import Session
 from slamcli.simulation import drive, floors, photograph
-from slamcli.simulation.config import SimulationOptions
+from slamcli.simulation.config import FloorOptions, SimulationOptions
 
 PRODUCTS = (
     "frames",
@@ -38,6 +39,8 @@ PRODUCTS = (
 # Start of a drive on the course, in its board's frame: a lap then stays around the middle.
 _COURSE_START = Pose2(-0.45, -0.45, 0.0)
 _SQUARE_GRAY = 232.0
+# Half of a gray level is this share of its light (sRGB, at the floor's 140).
+_HALF_GRAY_IN_LIGHT = 0.23
 _SQUARE_YAW_RADIANS = math.radians(7.0)
 _SQUARE_MARGIN_PIXELS = 12
 _SQUARE_NOISE_GRAY = 2.0
@@ -52,19 +55,30 @@ def simulate(
     *,
     overwrite: bool,
     session: Session,
+    layout: Path | None = None,
 ) -> list[str]:
     """Write frames, calibration photo, truth and sensors into `output`; return the lines to print.
+
+    Parameters
+    ----------
+    layout : Path, optional
+        The file of a course's layout, in place of the options' own.
 
     Raises
     ------
     InputError, OutputError
     """
+    if layout is not None:
+        options = _laid_out(options, layout)
     calibration = photograph.make_camera(options.camera)
     poses = _poses(options)
     # The course's floor is laid around its board, not around the first frame's robot.
     world_from_map = _COURSE_START if options.floor == "course" else Pose2()
     photographer = photograph.Photographer(
-        _world(options, calibration, poses, world_from_map), calibration
+        _world(options, calibration, poses, world_from_map),
+        calibration,
+        options.imaging,
+        options.seed,
     )
     square = _photograph_square(calibration, options)
     count = len(poses) - 1
@@ -84,6 +98,12 @@ def simulate(
         save_calibration(staging / "camera.yaml", calibration)
     square_metres = options.square_side_metres
     return [f"{count} frames, truth, sensors and a {square_metres:g} m square in {output}"]
+
+
+def _laid_out(options: SimulationOptions, layout: Path) -> SimulationOptions:
+    if options.floor != "course":
+        raise InputError("--layout needs --floor course")
+    return replace(options, surface=replace(options.surface, layout=read_layout(layout)))
 
 
 def _world(
@@ -118,15 +138,21 @@ def _floor(options: SimulationOptions, calibration: Calibration) -> floors.Floor
             raise InputError(
                 f"--floor {options.floor}: neither {kinds} nor a picture ({error})"
             ) from error
-        return floors.picture_floor(image, options.floor_metres_per_pixel)
+        return floors.picture_floor(
+            image, options.floor_metres_per_pixel, in_light=options.imaging.light
+        )
     resolution = photograph.texture_metres_per_pixel(calibration)
-    return floors.make_floor(options.floor, options.wear, resolution, options.seed)
+    return floors.make_floor(
+        options.floor, options.surface, resolution, options.seed, in_light=options.imaging.light
+    )
 
 
 def _room(options: SimulationOptions, start: Pose2) -> photograph.Room | None:
     if options.room_metres == 0:
         return None
-    wall = floors.make_wall(options.wear, _WALL_METRES_PER_PIXEL, options.seed)
+    wall = floors.make_wall(
+        options.surface, _WALL_METRES_PER_PIXEL, options.seed, in_light=options.imaging.light
+    )
     return photograph.Room((start.x, start.y), options.room_metres, wall)
 
 
@@ -159,7 +185,9 @@ def _take(
 def _photograph_square(calibration: Calibration, options: SimulationOptions) -> UInt8Array:
     """Return a photo of a white square on plain floor, as large as fits wholly into the picture."""
     corners = _place_square(calibration, options.square_side_metres)
-    floor = floors.make_floor("concrete", 0.0, 0.001, options.seed)
+    floor = floors.make_floor(
+        "concrete", FloorOptions(wear=0.0), 0.001, options.seed, in_light=options.imaging.light
+    )
     world = photograph.World(_Darkened(floor), decals=(photograph.Decal(corners, _SQUARE_GRAY),))
     quiet = replace(
         options.disturbances,
@@ -169,7 +197,7 @@ def _photograph_square(calibration: Calibration, options: SimulationOptions) -> 
         rocking_degrees=0.0,
         bounce_metres=0.0,
     )
-    photographer = photograph.Photographer(world, calibration)
+    photographer = photograph.Photographer(world, calibration, options.imaging, options.seed)
     generator = np.random.default_rng([options.seed, _SQUARE])
     return photograph.take(photographer, (Pose2(), Pose2()), 0.0, quiet, generator)
 
@@ -193,15 +221,19 @@ def _place_square(calibration: Calibration, side_metres: float) -> Float64Array:
 
 
 class _Darkened:
-    """A floor at half its brightness, so that a white square stands out of it."""
+    """A floor at half its gray level, so that a white square stands out of it."""
 
     def __init__(self, floor: floors.Floor) -> None:
         self.metres_per_pixel = floor.metres_per_pixel
+        self.in_light = floor.in_light
         self._floor = floor
 
-    def region(self, grid: Grid) -> UInt8Array:
-        """Return the floor's pixels, halved."""
-        return self._floor.region(grid) // np.uint8(2)
+    def region(self, grid: Grid) -> floors.Texture:
+        """Return the floor's pixels, halved; in light, that is less than a quarter of it."""
+        pixels = self._floor.region(grid)
+        if self.in_light:
+            return (pixels * np.float32(_HALF_GRAY_IN_LIGHT)).astype(np.uint16)
+        return pixels // np.uint8(2)
 
 
 def _write_sensors(

@@ -85,9 +85,9 @@ class FloorOptions:
         0 to 1: how scuffed and dusty a floor is; at 0 all tiles are alike, and planks have only
         five prints.
     tile_metres : float
-        Side of a tile, from grout to grout (tiles, carpet tiles), or of a square of paper.
+        Side of a tile, from joint to joint (tiles, carpet tiles), or of 20 squares of paper.
     grout_metres : float
-        Width of the grout; of a ruled line on paper.
+        Width of the tiles' grout.
     marks : int
         Spots on every tile, each at a place of its own: 3 to 10 mm, 10 to 40 % darker or lighter.
     layout : CourseLayout
@@ -108,7 +108,7 @@ class DisturbanceOptions:
     Attributes
     ----------
     noise_gray : float
-        Standard deviation of each pixel.
+        Standard deviation of each pixel; of one at the mid-tone, in light.
     motion_blur : float
         Share of the time between two frames that the shutter is open for.
     flicker : float
@@ -151,7 +151,7 @@ class ImagingOptions:
     sharpening : float
         Of the encoded picture: share of an unsharp mask, with its halo.
     rolling_shutter : float
-        Share of a frame's step that the robot goes from the first row to the last.
+        Share of the time between two frames from the first row's exposure to the last's.
     auto_exposure : bool
         Every picture is brought to the same mean.
     lamp_share : float
@@ -207,9 +207,8 @@ class SimulationOptions:
         A kind of floor, or the file of a picture.
     floor_metres_per_pixel : float
         Of a picture.
-    wear : float
-        0 to 1: how scuffed and dusty a floor is; at 0 all tiles are alike, and planks have only
-        five patterns.
+    surface : FloorOptions
+        Of a kind of floor.
     room_metres : float
         Side of a square room about the first frame, whose walls the camera sees; 0 is no room.
     path : str
@@ -224,13 +223,13 @@ class SimulationOptions:
     square_side_metres : float
         Of the calibration square.
     jpeg_quality : int
-    camera, disturbances, sensors
+    camera, imaging, disturbances, sensors
     seed : int
     """
 
     floor: str = "asphalt"
     floor_metres_per_pixel: float = 0.001
-    wear: float = 0.5
+    surface: FloorOptions = field(default_factory=FloorOptions)
     room_metres: float = 0.0
     path: str = "loop"
     length_metres: float = 8.0
@@ -240,6 +239,7 @@ class SimulationOptions:
     square_side_metres: float = 0.3048
     jpeg_quality: int = 92
     camera: CameraOptions = field(default_factory=CameraOptions)
+    imaging: ImagingOptions = field(default_factory=ImagingOptions)
     disturbances: DisturbanceOptions = field(default_factory=DisturbanceOptions)
     sensors: SensorOptions = field(default_factory=SensorOptions)
     seed: int = 0

@@ -11,7 +11,7 @@ from worlds import error_of, make_photographer, take
 import slamcli
 from slamcli.core.geometry import Pose2
 from slamcli.simulation import floors, photograph
-from slamcli.simulation.config import CameraOptions
+from slamcli.simulation.config import CameraOptions, FloorOptions
 from slamcli.stages import covisibility
 
 CAMERA = CameraOptions(size=(400, 300), height_metres=0.2, pitch_degrees=45.0)
@@ -133,7 +133,7 @@ def test_an_index_that_came_before_is_refused(photographer: photograph.Photograp
 @pytest.mark.slow
 def test_a_bare_course_is_never_placed_by_its_own_symmetry() -> None:
     """Its lines and squares look the same again after a quarter or a half turn."""
-    floor = floors.make_floor("course", 0.0, 0.001, seed=0)
+    floor = floors.make_floor("course", FloorOptions(wear=0.0), 0.001, seed=0)
     calibration = photograph.make_camera(CameraOptions(size=(400, 300)))
     bare = photograph.Photographer(photograph.World(floor), calibration)
     angles = np.linspace(0.0, math.tau, 20, endpoint=False)

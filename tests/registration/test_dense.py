@@ -18,7 +18,7 @@ from slamcli.registration import register
 from slamcli.registration.hypothesis import PyramidPair, score_refined
 from slamcli.registration.refinement import refine_hypothesis
 from slamcli.simulation import floors, photograph
-from slamcli.simulation.config import CameraOptions, DisturbanceOptions
+from slamcli.simulation.config import CameraOptions, DisturbanceOptions, FloorOptions
 from slamcli.stages import align, dense
 
 CAMERA = CameraOptions(size=(400, 300))
@@ -30,7 +30,7 @@ def photographer_of(floor: floors.Floor) -> photograph.Photographer:
 
 
 def bare_course() -> photograph.Photographer:
-    return photographer_of(floors.make_floor("course", 0.0, 0.001, seed=0))
+    return photographer_of(floors.make_floor("course", FloorOptions(wear=0.0), 0.001, seed=0))
 
 
 def prepared_of(
@@ -137,7 +137,7 @@ def test_an_expected_motion_saves_work_and_is_no_evidence(monkeypatch: pytest.Mo
         return plain(a, b, matching, guess)
 
     monkeypatch.setattr(align, "align", noted)
-    camera = photographer_of(floors.make_floor("asphalt", 0.0, 0.001, seed=3))
+    camera = photographer_of(floors.make_floor("asphalt", FloorOptions(wear=0.0), 0.001, seed=3))
     a, b = prepared_of(camera, Pose2(), 0), prepared_of(camera, motion, 1)
     near, wrong = motion @ Pose2(0.02, -0.01, 0.03), motion @ Pose2(-0.4, 0.1)
     links = {}
@@ -169,7 +169,7 @@ def test_a_single_line_leaves_the_motion_along_it_open() -> None:
 
 
 def test_a_refinement_models_a_rocking_camera() -> None:
-    camera = photographer_of(floors.make_floor("asphalt", 0.0, 0.001, seed=3))
+    camera = photographer_of(floors.make_floor("asphalt", FloorOptions(wear=0.0), 0.001, seed=3))
     rocking = DisturbanceOptions(rocking_degrees=0.4, bounce_metres=0.002)
     motion = Pose2(0.05, 0.01, 0.1)
     a = prepared_of(camera, Pose2(), 10, rocking)
@@ -189,7 +189,7 @@ def test_a_refinement_models_a_rocking_camera() -> None:
 
 def test_the_errors_of_measured_motions_are_what_their_covariances_say() -> None:
     """Of motions by the pixels, and by features alone."""
-    camera = photographer_of(floors.make_floor("concrete", 0.0, 0.001, seed=5))
+    camera = photographer_of(floors.make_floor("concrete", FloorOptions(wear=0.0), 0.001, seed=5))
     normalised: dict[str, list[float]] = {"pixels": [], "features": []}
     for index in range(8):
         motion = Pose2(0.04, 0.005 * index, 0.03 * index)
@@ -213,7 +213,7 @@ def test_the_errors_of_measured_motions_are_what_their_covariances_say() -> None
 
 
 def test_floor_elsewhere_is_not_placed() -> None:
-    camera = photographer_of(floors.make_floor("asphalt", 0.0, 0.001, seed=3))
+    camera = photographer_of(floors.make_floor("asphalt", FloorOptions(wear=0.0), 0.001, seed=3))
     a, b = prepared_of(camera, Pose2(), 0), prepared_of(camera, Pose2(9.0, 4.0, 1.0), 1)
     result = register(a, b, None, CALIBRATION, MapperOptions(), window=dense.SearchWindow())
     assert result.link is None
@@ -235,7 +235,7 @@ def test_vignetting_does_not_bias_the_motion_of_a_line() -> None:
 
 def bare_pair(disturbances: DisturbanceOptions) -> tuple[PreparedFrame, PreparedFrame, Pose2]:
     """Return two frames of a bare floor with a few marks, and the motion between them."""
-    photographer = photographer_of(floors.make_floor("bare", 0.5, 0.001, seed=0))
+    photographer = photographer_of(floors.make_floor("bare", FloorOptions(wear=0.5), 0.001, seed=0))
     start, motion = Pose2(0.2, 0.1, 0.3), Pose2(0.05, 0.01, 0.04)
     first = prepared_of(photographer, start, 0, disturbances)
     return first, prepared_of(photographer, start @ motion, 1, disturbances), motion
@@ -266,7 +266,7 @@ def test_points_on_obstacles_are_left_out_of_the_levels_that_are_refined() -> No
 def test_all_of_the_floor_is_used_once_rocking_explains_why_it_disagreed() -> None:
     # By the few patches that agree without rocking, the motion comes out 5 mm and 0.3 degrees off.
     calibration = photograph.make_camera(CameraOptions(size=(640, 480)))
-    world = photograph.World(floors.make_floor("carpet", 0.5, 0.001, seed=0))
+    world = photograph.World(floors.make_floor("carpet", FloorOptions(wear=0.5), 0.001, seed=0))
     photographer = photograph.Photographer(world, calibration)
     mapper, motion = slamcli.Mapper(calibration), Pose2(0.08, 0.01, 0.08)
     poses = [Pose2()]
@@ -293,7 +293,7 @@ def rocked_pair(
 ) -> tuple[Calibration, PreparedFrame, PreparedFrame]:
     """Return the camera and two frames `ROCKED_MOTION` apart, each with a tilt of its own."""
     calibration = photograph.make_camera(CameraOptions())
-    world = photograph.World(floors.make_floor(floor, 0.5, 0.001, seed=0))
+    world = photograph.World(floors.make_floor(floor, FloorOptions(wear=0.5), 0.001, seed=0))
     photographer = photograph.Photographer(world, calibration)
     mapper, rocking = slamcli.Mapper(calibration), DisturbanceOptions(rocking_degrees=degrees)
     start, prepared = Pose2(0.2 * place), []
@@ -369,7 +369,7 @@ def test_much_rocking_is_found_from_a_fit_with_less_of_it() -> None:
 def test_disagreement_from_rocking_does_not_make_another_tile_win() -> None:
     """Features alone, not yet allowed to rock, agree with few patches: the search's fit is kept."""
     calibration = photograph.make_camera(CameraOptions())
-    world = photograph.World(floors.make_floor("tiles", 0.5, 0.0005, seed=0))
+    world = photograph.World(floors.make_floor("tiles", FloorOptions(wear=0.5), 0.0005, seed=0))
     photographer = photograph.Photographer(world, calibration)
     mapper = slamcli.Mapper(calibration)
     rocking = DisturbanceOptions(rocking_degrees=0.5)
@@ -391,7 +391,7 @@ def test_disagreement_from_rocking_does_not_make_another_tile_win() -> None:
 
 
 def test_the_score_separates_right_motions_from_wrong_ones() -> None:
-    camera = photographer_of(floors.make_floor("asphalt", 0.5, 0.001, seed=3))
+    camera = photographer_of(floors.make_floor("asphalt", FloorOptions(wear=0.5), 0.001, seed=3))
     motion = Pose2(0.05, 0.01, 0.1)
     a, b = prepared_of(camera, Pose2(), 0), prepared_of(camera, motion, 1)
     elsewhere = prepared_of(camera, Pose2(4.0, 1.0, 0.3), 2)

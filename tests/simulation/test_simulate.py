@@ -17,7 +17,12 @@ from slamcli.core.camera.projection import project_floor
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.io.calibrations import load_calibration
 from slamcli.simulation import drive, floors, photograph
-from slamcli.simulation.config import CameraOptions, DisturbanceOptions, SimulationOptions
+from slamcli.simulation.config import (
+    CameraOptions,
+    DisturbanceOptions,
+    FloorOptions,
+    SimulationOptions,
+)
 
 SMALL = ["--size", "160x120", "--frames", "3", "--length", "0.3", "--workers", "2"]
 
@@ -27,26 +32,40 @@ def simulate(folder: Path, *arguments: str) -> None:
     assert result.exit_code == 0, result.output
 
 
+def still(world_from_robot: Pose2) -> photograph.Shutter:
+    return photograph.Shutter(world_from_robot, world_from_robot)
+
+
 @pytest.mark.slow
 def test_a_floor_is_the_same_in_whatever_windows_it_is_read() -> None:
     for kind in floors.FLOORS:
-        whole = floors.make_floor(kind, 0.5, 0.001, 1).region(Grid(-0.6, 0.6, 0.001, 700, 650))
-        part = floors.make_floor(kind, 0.5, 0.001, 1).region(Grid(-0.3, 0.2, 0.001, 90, 80))
+        whole = floors.make_floor(kind, FloorOptions(wear=0.5), 0.001, 1).region(
+            Grid(-0.6, 0.6, 0.001, 700, 650)
+        )
+        part = floors.make_floor(kind, FloorOptions(wear=0.5), 0.001, 1).region(
+            Grid(-0.3, 0.2, 0.001, 90, 80)
+        )
         np.testing.assert_array_equal(part, whole[400:480, 300:390])
-        other = floors.make_floor(kind, 0.5, 0.001, 2).region(Grid(-0.3, 0.2, 0.001, 90, 80))
+        other = floors.make_floor(kind, FloorOptions(wear=0.5), 0.001, 2).region(
+            Grid(-0.3, 0.2, 0.001, 90, 80)
+        )
         if kind != "course":
             assert not np.array_equal(part, other)
 
 
 def test_blocks_meet_without_a_seam() -> None:
-    texture = floors.make_floor("asphalt", 0.0, 0.001, 5).region(Grid(0.0, 0.0, 0.001, 1024, 512))
+    texture = floors.make_floor("asphalt", FloorOptions(wear=0.0), 0.001, 5).region(
+        Grid(0.0, 0.0, 0.001, 1024, 512)
+    )
     gray = texture[..., 0].astype(float)
     steps = np.abs(np.diff(gray, axis=1)).mean(axis=0)
     assert steps[511] < steps.mean() + 6 * steps.std()
 
 
 def test_the_course_has_its_squares_where_its_plan_says() -> None:
-    bare = floors.make_floor("course", 0.0, 0.001, 0).region(Grid(-1.3, 0.7, 0.001, 2600, 1400))
+    bare = floors.make_floor("course", FloorOptions(wear=0.0), 0.001, 0).region(
+        Grid(-1.3, 0.7, 0.001, 2600, 1400)
+    )
     white = (bare[..., 1] > 128).astype(np.uint8)
     count, _, stats, _ = cv2.connectedComponentsWithStats(cv2.erode(white, np.ones((60, 60))))
     assert count - 1 == 5
@@ -60,7 +79,7 @@ def test_a_photo_shows_a_decal_where_the_camera_model_says() -> None:
     corners = 0.07 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     centre = np.array([[0.45, 0.06]])
     decal = photograph.Decal(place.apply(centre + corners), 250.0)
-    floor = floors.make_floor("course", 0.0, 0.001, 0)
+    floor = floors.make_floor("course", FloorOptions(wear=0.0), 0.001, 0)
     world = photograph.World(floor, decals=(decal,))
     photographer = photograph.Photographer(world, calibration)
     quiet = DisturbanceOptions(noise_gray=0.0, vignetting=0.0)
@@ -78,9 +97,9 @@ def test_a_photo_shows_a_decal_where_the_camera_model_says() -> None:
 def test_a_box_is_drawn_at_its_pose_and_hides_the_floor_behind() -> None:
     calibration = photograph.make_camera(CameraOptions(size=(320, 240)))
     box = photograph.Box(Pose2(0.6, 0.0, 0.3), (0.08, 0.08, 0.1), (40.0, 40.0, 250.0))
-    floor = floors.make_floor("asphalt", 0.0, 0.001, 0)
+    floor = floors.make_floor("asphalt", FloorOptions(wear=0.0), 0.001, 0)
     photographer = photograph.Photographer(photograph.World(floor, (box,)), calibration)
-    image = photographer.expose(Pose2(), calibration, 0.0)
+    image = photographer.expose(still(Pose2()), calibration, 0.0)
     red = (image[..., 2] > 100) & (image[..., 0] < 60)
     base = project_floor(calibration, [[0.6, 0.0]])[0][0]
     rows, columns = np.nonzero(red)
@@ -156,20 +175,20 @@ def test_an_impossible_option_is_one_line(tmp_path: Path, arguments: list[str], 
 
 
 def test_tiles_without_wear_are_all_alike() -> None:
-    floor = floors.make_floor("tiles", 0.0, 0.0005, 1)
+    floor = floors.make_floor("tiles", FloorOptions(wear=0.0), 0.0005, 1)
     first = floor.region(Grid(0.0, 0.1, 0.0005, 200, 200))
     other = floor.region(Grid(0.7, 0.4, 0.0005, 200, 200))
     np.testing.assert_array_equal(first, other)
-    worn = floors.make_floor("tiles", 0.5, 0.0005, 1)
+    worn = floors.make_floor("tiles", FloorOptions(wear=0.5), 0.0005, 1)
     assert not np.array_equal(worn.region(Grid(0.0, 0.1, 0.0005, 200, 200)), first)
 
 
 def test_a_room_has_its_walls_where_its_size_says() -> None:
     calibration = photograph.make_camera(CameraOptions(size=(320, 240), pitch_degrees=10.0))
-    room = photograph.Room((0.0, 0.0), 4.0, floors.make_wall(0.0, 0.002, 0))
-    floor = floors.make_floor("course", 0.0, 0.001, 0)
+    room = photograph.Room((0.0, 0.0), 4.0, floors.make_wall(FloorOptions(wear=0.0), 0.002, 0))
+    floor = floors.make_floor("course", FloorOptions(wear=0.0), 0.001, 0)
     photographer = photograph.Photographer(photograph.World(floor, room=room), calibration)
-    image = photographer.expose(Pose2(0.5, 0.0, 0.0), calibration, 0.0)[..., 1]
+    image = photographer.expose(still(Pose2(0.5, 0.0, 0.0)), calibration, 0.0)[..., 1]
     # The wall ahead is 1.5 m away: below its foot the black floor, above it the gray skirting.
     foot = project_floor(calibration, [[1.5, 0.0]])[0][0]
     column, row = round(foot[0]), foot[1]

@@ -9,11 +9,13 @@ import click
 from slamcli.cli.options.common import seed
 from slamcli.cli.options.features import SIZE
 from slamcli.cli.options.fields import option, stacked
-from slamcli.cli.options.values import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, SHARE
+from slamcli.cli.options.values import AT_LEAST_ONE, NOT_NEGATIVE, PATH, POSITIVE, SHARE
 from slamcli.simulation.config import SimulationOptions
 
 _drive = partial(option, SimulationOptions())
 _camera = partial(option, SimulationOptions().camera)
+_surface = partial(option, SimulationOptions().surface)
+_imaging = partial(option, SimulationOptions().imaging)
 _disturbance = partial(option, SimulationOptions().disturbances)
 _NUMBER = click.IntRange(min=0)
 
@@ -21,7 +23,8 @@ floor_options = stacked(
     _drive(
         "floor",
         "--floor",
-        text="asphalt, bare, carpet, concrete, course, planks, terrazzo, tiles, or a picture file.",
+        text="asphalt, bare, carpet, carpet-tiles, concrete, course, paper, parquet, planks, road, "
+        "terrazzo, tiles, or a picture file.",
     ),
     _drive(
         "floor_metres_per_pixel",
@@ -29,11 +32,24 @@ floor_options = stacked(
         POSITIVE,
         "Resolution of a picture given as --floor.",
     ),
-    _drive(
+    _surface(
         "wear",
         "--wear",
         SHARE,
         "How worn the floor is; at 0 a course is pure black and white, and all tiles are alike.",
+    ),
+    _surface(
+        "tile_metres",
+        "--tile",
+        click.FloatRange(min=0.01),
+        "Metres: side of a tile (tiles, carpet-tiles), joint to joint; of 20 squares of paper.",
+    ),
+    _surface("grout_metres", "--grout", NOT_NEGATIVE, "Metres: width of the tiles' grout."),
+    _surface("marks", "--marks", _NUMBER, "Number of spots on every tile, each at its own place."),
+    click.option(
+        "--layout",
+        type=PATH,
+        help="TOML file of a course's board, lines and squares; default: that of 2015.",
     ),
     _drive(
         "room_metres",
@@ -81,12 +97,53 @@ camera_options = stacked(
     _camera("k2", "--k2", text="Radial distortion of the lens, r^4."),
 )
 
+imaging_options = stacked(
+    _imaging(
+        "light",
+        "--light/--no-light",
+        text="Floors reflect light, and the camera encodes it (sRGB), with photon noise; else "
+        "pictures are blended of encoded gray levels, and all options of this group but this one "
+        "have no effect.",
+    ),
+    _imaging(
+        "lens_blur_pixels",
+        "--lens-blur",
+        NOT_NEGATIVE,
+        "Pixels: standard deviation of the lens's point spread.",
+    ),
+    _imaging("bayer", "--bayer/--no-bayer", text="One colour a pixel, and demosaicing."),
+    _imaging(
+        "sharpening",
+        "--sharpening",
+        NOT_NEGATIVE,
+        "Share of an unsharp mask that the camera adds, with its halo.",
+    ),
+    _imaging(
+        "rolling_shutter",
+        "--rolling-shutter",
+        SHARE,
+        "Share of the time between two frames from the first row's exposure to the last's.",
+    ),
+    _imaging(
+        "lamp_share",
+        "--lamp",
+        SHARE,
+        "Greatest change of the light, as a share, by a lamp's pattern at the camera.",
+    ),
+    _imaging("dust", "--dust", _NUMBER, "Number of spots on the lens's glass."),
+    _imaging(
+        "auto_exposure",
+        "--auto-exposure/--no-auto-exposure",
+        text="Every picture has the same mean light.",
+    ),
+)
+
 disturbance_options = stacked(
     _disturbance(
         "noise_gray",
         "--noise",
         NOT_NEGATIVE,
-        "Gray levels: standard deviation of each pixel's noise.",
+        "Gray levels: standard deviation of a mid-gray pixel's noise.",
     ),
     _disturbance(
         "motion_blur",

@@ -113,7 +113,7 @@ class BlockFloor:
         for _ in range(_LEVELS):
             half = levels[-1].shape[0] // 2
             smaller = cv2.resize(levels[-1], (half, half), interpolation=cv2.INTER_AREA)
-            levels.append(smaller)
+            levels.append(smaller)  # type: ignore[arg-type]
         return levels
 
 

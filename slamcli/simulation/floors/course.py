@@ -57,12 +57,12 @@ def _inside_board(grid: Grid, layout: CourseLayout) -> Float32Array:
 
 def _painted(grid: Grid, layout: CourseLayout) -> Float32Array:
     """Return (h, w): how much of each pixel is white paint."""
-    shapes = []
-    half = layout.line_metres / 2
-    for start, end in layout.lines:
-        shapes.append(_rectangle(np.minimum(start, end) - half, np.maximum(start, end) + half))
-    for low in layout.squares:
-        shapes.append(_rectangle(np.array(low), np.array(low) + layout.square_metres))
+    half, square = layout.line_metres / 2, layout.square_metres
+    shapes = [
+        _rectangle(np.minimum(start, end) - half, np.maximum(start, end) + half)
+        for start, end in layout.lines
+    ]
+    shapes += [_rectangle(np.array(low), np.array(low) + square) for low in layout.squares]
     middle = np.array([layout.board_metres[0] / 2, 0.0])
     return _filled(grid, [shape - middle for shape in shapes])
 

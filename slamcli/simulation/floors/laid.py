@@ -102,7 +102,7 @@ def _marks(
     for column, row in itertools.product(columns, rows):
         generator = np.random.default_rng([seed, column + 2**31, row + 2**31])
         for _ in range(options.marks):
-            place = generator.uniform(0.0, side, 2) + (column * side, row * side)
+            place = np.array([column, row]) * side + generator.uniform(0.0, side, 2)
             radius = generator.uniform(*_MARK_METRES) / 2 * generator.uniform(0.6, 1.0, 2)
             contrast = generator.uniform(*_MARK_CONTRASTS) * generator.choice((-1.0, 0.6))
             _add_mark(left, grid, place, radius, float(contrast))

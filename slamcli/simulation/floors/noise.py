@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 
@@ -10,6 +12,8 @@ from slamcli.core.geometry import Grid
 
 # White noise is drawn in pieces of this side, to draw few more pixels than a block needs.
 _NOISE_PIXELS = 128
+# Pieces of 64 KiB that the next blocks need again: of a row of blocks, for all kinds of noise.
+_KEPT_PIECES = 1536
 
 
 def white_noise(grid: Grid, seed: int, margin: int = 0) -> Float32Array:
@@ -21,9 +25,7 @@ def white_noise(grid: Grid, seed: int, margin: int = 0) -> Float32Array:
     side = _NOISE_PIXELS
     for row in range(top // side, (top + height - 1) // side + 1):
         for column in range(left // side, (left + width - 1) // side + 1):
-            # Seeds are natural numbers; the offset keeps those of blocks left of the origin so.
-            generator = np.random.default_rng([seed, row + 2**31, column + 2**31])
-            block = generator.standard_normal((side, side), dtype=np.float32)
+            block = _white_piece(seed, row, column)
             y, x = row * side - top, column * side - left
             rows = slice(max(0, y), min(height, y + side))
             columns = slice(max(0, x), min(width, x + side))
@@ -31,6 +33,13 @@ def white_noise(grid: Grid, seed: int, margin: int = 0) -> Float32Array:
                 rows.start - y : rows.stop - y, columns.start - x : columns.stop - x
             ]
     return noise
+
+
+@lru_cache(maxsize=_KEPT_PIECES)
+def _white_piece(seed: int, row: int, column: int) -> Float32Array:
+    # Seeds are natural numbers; the offset keeps those of pieces left of the origin so.
+    generator = np.random.default_rng([seed, row + 2**31, column + 2**31])
+    return generator.standard_normal((_NOISE_PIXELS, _NOISE_PIXELS), dtype=np.float32)
 
 
 def smooth_noise(grid: Grid, seed: int, sigma_metres: float, stretch: float = 1.0) -> Float32Array:

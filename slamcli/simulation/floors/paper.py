@@ -1,4 +1,4 @@
-"""Squared paper with handwriting: lines that repeat everywhere, and figures that tell places apart."""
+"""Squared paper with handwriting: lines that repeat everywhere, numbers that are unique."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import itertools
 import cv2
 import numpy as np
 
-from slamcli.core.arrays import UInt8Array
+from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array
 from slamcli.core.geometry import Grid
 from slamcli.simulation.config import FloorOptions
 from slamcli.simulation.floors.noise import smooth_noise, tinted
@@ -35,8 +35,8 @@ def paper(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
     return tinted(gray.astype(np.float32), (1.0, 0.99, 0.97))
 
 
-def _handwriting(grid: Grid, x: np.ndarray, y: np.ndarray, seed: int) -> np.ndarray:
-    """Return how much of each pixel is ink, (h, w) from 0 to 1."""
+def _handwriting(grid: Grid, x: Float64Array, y: Float64Array, seed: int) -> Float32Array:
+    """Return the share of ink in each pixel, (h, w) from 0 to 1."""
     ink = np.zeros((grid.height, grid.width), np.uint8)
     columns = range(int(x.min() // _CELL_METRES) - 1, int(x.max() // _CELL_METRES) + 2)
     rows = range(int(y.min() // _CELL_METRES) - 1, int(y.max() // _CELL_METRES) + 2)

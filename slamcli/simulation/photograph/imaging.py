@@ -21,6 +21,8 @@ from slamcli.simulation.light import SATURATION, encode
 _MID_TONE = 0.18
 # Read noise over the photon noise of a full well: 4 electrons beside 65 of some 4,200.
 _READ_NOISE_SHARE = 0.06
+_SHARPENING_PIXELS = 1.0
+# Number of the random stream of what stays the same in all pictures.
 _FIXED = 0
 
 
@@ -67,8 +69,8 @@ class Sensor:
         """
         options = self.options
         if options.lens_blur_pixels > 0:
-            light = cv2.GaussianBlur(light, (0, 0), options.lens_blur_pixels)
-        light = light * self._fixed * np.float32(gain)
+            light = _blurred(light, options.lens_blur_pixels)
+        light = light * (self._fixed * np.float32(gain))
         if options.auto_exposure:
             light *= np.float32(_MID_TONE * SATURATION / max(float(light.mean()), 1e-3))
         if options.bayer:
@@ -77,9 +79,12 @@ class Sensor:
             light = _with_noise(light, noise_gray, generator)
         code = encode(light)
         if options.sharpening > 0:
-            soft = cv2.GaussianBlur(code, (0, 0), 1.0)
-            code = code + np.float32(options.sharpening) * (code - soft)
-        return np.clip(np.round(code), 0, 255).astype(np.uint8)
+            code += np.float32(options.sharpening) * (code - _blurred(code, _SHARPENING_PIXELS))
+        return np.clip(np.rint(code, out=code), 0, 255, out=code).astype(np.uint8)
+
+
+def _blurred(image: Float32Array, sigma_pixels: float) -> Float32Array:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_pixels), np.float32)
 
 
 def vignetting_image(image_size: tuple[int, int], share: float) -> Float32Array:
@@ -88,7 +93,7 @@ def vignetting_image(image_size: tuple[int, int], share: float) -> Float32Array:
     centre_x, centre_y = image_centre(image_size)
     x, y = np.meshgrid(np.arange(width) - centre_x, np.arange(height) - centre_y)
     radius_squared = (x * x + y * y) / (centre_x**2 + centre_y**2)
-    return (1.0 - share * radius_squared).astype(np.float32)[..., None]
+    return np.asarray(1.0 - share * radius_squared, np.float32)[..., None]
 
 
 def _lamp_and_dust(image_size: tuple[int, int], options: ImagingOptions, seed: int) -> Float32Array:
@@ -98,13 +103,13 @@ def _lamp_and_dust(image_size: tuple[int, int], options: ImagingOptions, seed: i
     x, y = np.meshgrid(np.linspace(-1.0, 1.0, width), np.linspace(-1.0, 1.0, height))
     phase = generator.uniform(0.0, math.tau, 2)
     lamp = np.sin(4.1 * x + phase[0]) * np.sin(3.3 * y + phase[1])
-    pattern = (1.0 + options.lamp_share * lamp).astype(np.float32)
+    pattern = np.asarray(1.0 + options.lamp_share * lamp, np.float32)
     for _ in range(options.dust):
         place = generator.uniform(0, width), generator.uniform(0, height)
         radius = generator.uniform(0.003, 0.012) * width
         spot = np.zeros((height, width), np.float32)
         cv2.circle(spot, (round(place[0]), round(place[1])), max(1, round(radius)), 1.0, -1)
-        soft = cv2.GaussianBlur(spot, (0, 0), 0.4 * radius + 0.5)
+        soft = _blurred(spot, 0.4 * radius + 0.5)
         pattern *= 1.0 - np.float32(generator.uniform(0.2, 0.6)) * soft
     return pattern[..., None]
 
@@ -115,13 +120,17 @@ def _with_noise(
     """Return light with photon noise, whose variance is the number of electrons, and read noise."""
     if noise_gray == 0.0:
         return light
-    # So large a well that the noise of the mid-tone, encoded, is what is asked for.
+    # Of such a full well the encoded mid-tone has this noise.
     slope = 1.055 / 2.4 * _MID_TONE ** (1 / 2.4 - 1)
     full_well = _MID_TONE * (SATURATION * slope / noise_gray) ** 2
-    electrons = np.maximum(light, 0.0) * np.float32(full_well / SATURATION)
-    sigma = np.sqrt(electrons + np.float32(_READ_NOISE_SHARE**2 * full_well))
-    noisy = electrons + sigma * generator.standard_normal(light.shape, dtype=np.float32)
-    return noisy * np.float32(SATURATION / full_well)
+    # On the scale of light, a variance of `photons` times it is that of its number of electrons.
+    photons = np.float32(SATURATION / full_well)
+    sigma = photons * np.maximum(light, 0.0)
+    sigma += np.float32(_READ_NOISE_SHARE**2 * SATURATION) * photons
+    np.sqrt(sigma, out=sigma)
+    sigma *= generator.standard_normal(light.shape, dtype=np.float32)
+    sigma += light
+    return sigma
 
 
 def _mosaic(light: Float32Array) -> Float32Array:
@@ -136,4 +145,4 @@ def _demosaic(raw: Float32Array) -> Float32Array:
     """Return (H, W, 3) BGR light of a Bayer mosaic, by edge-aware interpolation."""
     scaled = np.clip(raw, 0.0, SATURATION) * np.float32(65535.0 / SATURATION)
     full = cv2.demosaicing(np.round(scaled).astype(np.uint16), cv2.COLOR_BayerRGGB2BGR_EA)
-    return full.astype(np.float32) * np.float32(SATURATION / 65535.0)
+    return np.multiply(full, np.float32(SATURATION / 65535.0), dtype=np.float32)

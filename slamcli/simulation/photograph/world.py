@@ -40,6 +40,7 @@ class Decal:
     corners : (N, 2) float64
         World metres, counter-clockwise.
     gray : float
+        Encoded, 0 to 255.
     """
 
     corners: Float64Array

@@ -31,7 +31,13 @@ from slamcli.io.trajectories import read_trajectory
 from slamcli.mapping.backend.backend import Backend
 from slamcli.mapping.backend.sensors import Sensors
 from slamcli.simulation import floors, photograph
-from slamcli.simulation.config import CameraOptions, DisturbanceOptions, SimulationOptions
+from slamcli.simulation.config import (
+    CameraOptions,
+    DisturbanceOptions,
+    FloorOptions,
+    ImagingOptions,
+    SimulationOptions,
+)
 from slamcli.simulation.drive import geodetic_from_local
 from slamcli.stages import posegraph
 from slamcli.stages.geodesy import LocalPlane
@@ -334,7 +340,7 @@ def test_a_plain_line_determines_the_heading_and_the_direction_across_it() -> No
 
 
 def test_ten_metres_of_blank_floor_are_bridged_by_odometry() -> None:
-    floor = floors.make_floor("asphalt", 0.0, 0.001, seed=3)
+    floor = floors.make_floor("asphalt", FloorOptions(wear=0.0), 0.001, seed=3)
     photographer = photograph.Photographer(photograph.World(floor), photograph.make_camera(CAMERA))
     along = [0.05 * i for i in range(4)]
     along += [along[-1] + 0.5 * (i + 1) for i in range(20)]
@@ -389,7 +395,9 @@ def drive_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows = [f"{pose.x},{pose.y},{pose.theta}" for pose in poses]
     way = folder.parent / "way.csv"
     way.write_text("\n".join(["x,y,heading", *rows]) + "\n")
-    options = SimulationOptions(path=str(way), camera=CameraOptions(size=(320, 240)))
+    options = SimulationOptions(
+        path=str(way), camera=CameraOptions(size=(320, 240)), imaging=ImagingOptions(light=False)
+    )
     simulate(folder, options, overwrite=False, session=Session())
     return folder
 

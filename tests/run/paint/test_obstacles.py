@@ -18,7 +18,7 @@ from slamcli.core.records import Frame
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import write_image
 from slamcli.simulation import floors, photograph
-from slamcli.simulation.config import CameraOptions, DisturbanceOptions
+from slamcli.simulation.config import CameraOptions, DisturbanceOptions, FloorOptions
 from slamcli.stages import dense, view
 
 CALIBRATION = photograph.make_camera(CameraOptions(size=(320, 240)))
@@ -43,7 +43,7 @@ class Pair:
 
 @cache
 def pair_of(kind, boxes, disturbances):
-    floor = floors.make_floor(kind, 0.5, 0.001, seed=1)
+    floor = floors.make_floor(kind, FloorOptions(wear=0.5), 0.001, seed=1)
     photographers = [
         photograph.Photographer(photograph.World(floor, here), CALIBRATION) for here in (boxes, ())
     ]

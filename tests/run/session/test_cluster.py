@@ -23,7 +23,7 @@ FRAMES = 6
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("drive") / "drive"
-    arguments = ["--frames", str(FRAMES), "--size", "320x240", "--length", "0.5"]
+    arguments = ["--frames", str(FRAMES), "--size", "320x240", "--length", "0.5", "--no-light"]
     done = slam("simulate", folder, *arguments)
     assert done.exit_code == 0, done.output
     return folder
