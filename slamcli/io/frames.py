@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ IMAGE_SUFFIXES = frozenset(
 )
 _DEEP_SUFFIXES = frozenset({".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff"})
 _MAX_SAMPLE_BITS = 16
+_DIGEST_BYTES = 16
 # A name such as 1446412345.250 is the time of capture in seconds since 1970 (TUM's convention).
 _EPOCH_NAME = re.compile(r"\d{9,10}\.\d+|\d{10}")
 
@@ -36,6 +38,8 @@ class FrameFile:
         Range of samples of more than 8 bits, the same for all frames of a run.
     camera_size : tuple of int or None
         Width and height of the run's camera, pixels: no picture of another size is decoded.
+    digest : bytes
+        Of the content that was read before; no other is accepted. Empty when none was.
     """
 
     index: int
@@ -43,6 +47,7 @@ class FrameFile:
     stamp: float | None
     sample_bits: int = _MAX_SAMPLE_BITS
     camera_size: tuple[int, int] | None = None
+    digest: bytes = b""
 
     @property
     def name(self) -> str:
@@ -99,7 +104,7 @@ def of_camera(files: Sequence[FrameFile], size: tuple[int, int]) -> list[FrameFi
 
 
 def read_frame(file: FrameFile, *, gray: bool = False, halved: bool = False) -> Frame:
-    """Return the decoded frame; raises FrameError.
+    """Return the decoded frame; raises FrameError, also when its file changed since it was read.
 
     Parameters
     ----------
@@ -109,13 +114,17 @@ def read_frame(file: FrameFile, *, gray: bool = False, halved: bool = False) -> 
         In colours, of half the size, more quickly: each pixel the mean of two by two. The mask
         stays whole.
     """
-    image, mask = _decoded(file, gray=gray, factor=2 if halved and not gray else 1)
-    return Frame(file.index, file.name, file.stamp, image, mask)
+    data = read_bytes(file.path)
+    digest = hashlib.blake2b(data, digest_size=_DIGEST_BYTES).digest()
+    if file.digest not in {b"", digest}:
+        raise FrameError("the file has changed since it was read first")
+    image, mask = _decoded(file, data, gray=gray, factor=2 if halved and not gray else 1)
+    return Frame(file.index, file.name, file.stamp, image, mask, digest)
 
 
 def read_reduced_gray(file: FrameFile) -> UInt8Array:
     """Return the frame as (h, w) gray of a quarter of its size, quickly; raises FrameError."""
-    return _decoded(file, gray=True, factor=4)[0]
+    return _decoded(file, read_bytes(file.path), gray=True, factor=4)[0]
 
 
 def read_size(path: Path) -> tuple[int, int]:
@@ -137,9 +146,10 @@ def read_image(path: Path) -> UInt8Array:
     return decode(read_bytes(path), Reading())[0]
 
 
-def _decoded(file: FrameFile, *, gray: bool, factor: int) -> tuple[UInt8Array, UInt8Array | None]:
-    reading = Reading(gray, factor, file.sample_bits, file.camera_size)
-    return decode(read_bytes(file.path), reading)
+def _decoded(
+    file: FrameFile, data: bytes, *, gray: bool, factor: int
+) -> tuple[UInt8Array, UInt8Array | None]:
+    return decode(data, Reading(gray, factor, file.sample_bits, file.camera_size))
 
 
 def _pictures_in(folder: Path) -> list[Path]:

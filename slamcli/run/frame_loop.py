@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
 from slamcli.core.camera.calibration import Calibration
@@ -26,7 +27,7 @@ def read_and_prepare(
         return PreparedFrame(file.index, file.name, file.stamp, None, None, str(error))
     if thumbnails is not None:
         thumbnails.keep(frame)
-    return prepare(frame)
+    return replace(prepare(frame), digest=frame.digest)
 
 
 def run_mapper(
@@ -34,8 +35,8 @@ def run_mapper(
     files: Sequence[FrameFile],
     session: Session,
     thumbnails: Thumbnails | None = None,
-) -> Iterator[int]:
-    """Pass the frames that a mapper has not seen through it; yield after each how many it has.
+) -> Iterator[PreparedFrame]:
+    """Pass the frames that a mapper has not seen through it; yield each when it has been.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def run_mapper(
     for done, prepared in enumerate(session.ordered(work, files[first:]), start=first + 1):
         mapper.step(prepared)
         session.progress("locating", done, len(files))
-        yield done
+        yield prepared
 
 
 def finish(mapper: Mapper, session: Session) -> None:

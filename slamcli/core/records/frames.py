@@ -25,6 +25,8 @@ class Frame:
     image : (H, W, 3) or (H, W) uint8, BGR or gray
     mask : (H, W) uint8 or None
         255 where the picture is opaque; None when all of it is.
+    digest : bytes
+        Of the file that it was decoded from; empty for one that was not.
     """
 
     index: int
@@ -32,6 +34,7 @@ class Frame:
     stamp: float | None
     image: UInt8Array
     mask: UInt8Array | None = None
+    digest: bytes = b""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,6 +126,8 @@ class PreparedFrame:
         Of a coarser view of the floor beyond; empty where the camera sees no farther.
     repeats : (K, 2) float64
         Shifts, metres in the robot's axes, by which the view looks like itself.
+    digest : bytes
+        Of the frame's file; empty when there is none or it could not be read.
     """
 
     index: int
@@ -134,6 +139,7 @@ class PreparedFrame:
     levels: tuple[PyramidLevel, ...] = ()
     far_levels: tuple[PyramidLevel, ...] = ()
     repeats: Float64Array = field(default_factory=lambda: np.empty((0, 2)))
+    digest: bytes = b""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

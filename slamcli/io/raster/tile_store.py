@@ -77,6 +77,7 @@ class TileStore:
         self.tile_pixels = tile_pixels
         self.layers = layers
         self._entries: dict[tuple[int, int], _Entry | None] = {}
+        self._unfinished: set[tuple[int, int]] = set()
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -91,8 +92,13 @@ class TileStore:
     def __contains__(self, key: tuple[int, int]) -> bool:
         return key in self._entries
 
-    def put(self, row: int, column: int, tile: Tile | None) -> None:
-        """Store a tile, completely or not at all; None notes that nothing is seen there."""
+    def put(self, row: int, column: int, tile: Tile | None, *, finished: bool = True) -> None:
+        """Store a tile, completely or not at all; None notes that nothing is seen there.
+
+        One that is not finished is in this store alone: another of the same folder lacks it.
+        """
+        if not finished:
+            self._unfinished.add((row, column))
         stream = io.BytesIO()
         if tile is None:
             np.savez(stream, empty=np.zeros(0, np.uint8))
@@ -198,7 +204,8 @@ class TileStore:
         return image, mask
 
     def _path(self, row: int, column: int) -> Path:
-        return self.folder / f"{row}_{column}.npz"
+        mark = ".unfinished" if (row, column) in self._unfinished else ""
+        return self.folder / f"{row}_{column}{mark}.npz"
 
     def _read(self, row: int, column: int) -> StoredTile | None:
         path = self._path(row, column)

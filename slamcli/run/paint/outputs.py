@@ -39,6 +39,7 @@ PRODUCTS = (
 # A PNG of more than this would not open in most viewers.
 _MAX_PNG_PIXELS = 400_000_000
 _PNG_BYTES_A_PIXEL = 5
+_MAX_NAMED = 5
 _OVERVIEW_PIXELS, _MAX_OVERVIEW_FACTOR = 1600, 512
 
 
@@ -60,8 +61,10 @@ class PaintedMaps:
     @property
     def note(self) -> str:
         """The line for the user that names the frames which could not be read again."""
-        names = ", ".join(self.unread)
-        return f"incomplete: not painted, as they could not be read again: {names}"
+        return (
+            f"incomplete: {counted(self.unread)} not painted: vanished or changed since they were "
+            "located"
+        )
 
 
 def write_maps(
@@ -98,6 +101,12 @@ def write_maps(
             )
             area += store.seen_pixels() * painter.metres_per_pixel**2
     return PaintedMaps(area, tuple(sorted(unread)))
+
+
+def counted(names: Sequence[str]) -> str:
+    """Return how many frames these are, and the first of their names."""
+    shown = ", ".join(names[:_MAX_NAMED]) + (", ..." if len(names) > _MAX_NAMED else "")
+    return f"{len(names)} frame{'s' if len(names) > 1 else ''} ({shown})"
 
 
 def check_formats(options: ProductOptions) -> None:

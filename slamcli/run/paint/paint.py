@@ -53,8 +53,9 @@ def paint_scene(
     OutputError
     """
     store = TileStore(folder, tiles.TILE_PIXELS, options.layers)
+    dark = set[int]()
     if options.paint.gain:
-        light = _exposure(scene, session)
+        light, dark = _exposure(scene, session)
         painter = Painter(scene.calibration, painter.metres_per_pixel, options.paint, light)
     plan = [
         item
@@ -75,11 +76,12 @@ def paint_scene(
     # First some of the middle: their time predicts that of all.
     middle = len(left) // 2
     left = left[middle : middle + workers] + left[:middle] + left[middle + workers :]
-    started, before, unread = time.perf_counter(), len(plan) - len(left), set[int]()
+    started, before, unread = time.perf_counter(), len(plan) - len(left), set(dark)
     for number, ((key, _), (tile, missing)) in enumerate(
         zip(left, session.ordered(work, left), strict=False), start=1
     ):
-        store.put(key.row, key.column, tile)
+        # Its pixels, or its light by those of all frames, are others once the frames are back.
+        store.put(key.row, key.column, tile, finished=not (dark or missing))
         unread |= missing
         if number == min(workers, len(left)):
             seconds = (time.perf_counter() - started) * (len(left) - number) / number
@@ -128,32 +130,38 @@ def _paint(
     return tile, reader.unread.intersection(numbers)
 
 
-def _exposure(scene: Scene, session: Session) -> Exposure:
-    """Return every frame's gain and the vignetting, from floor that several frames show."""
+def _exposure(scene: Scene, session: Session) -> tuple[Exposure, set[int]]:
+    """Return every frame's gain and the vignetting, from floor that several frames show.
+
+    And the numbers of the frames that could not be read.
+    """
     hull = footprint_hull(scene.calibration)
     step = exposure.comparison_step(scene.calibration)
     work = partial(_observe, hull, step)
-    observations = []
+    observations, unread = [], set[int]()
     jobs = (
         (file, shot, scene.thumbnails.take(file))
         for file, shot in zip(scene.files, scene.shots, strict=True)
     )
     for done, one in enumerate(session.ordered(work, jobs), start=1):
-        observations.append(one)
+        if one is None:
+            unread.add(done - 1)
+        observations.append(exposure.no_brightness() if one is None else one)
         session.progress("comparing light", done, len(scene.files))
-    return exposure.estimate_exposure(observations)
+    return exposure.estimate_exposure(observations), unread
 
 
 def _observe(
     hull: Float64Array,
     step: float,
     job: tuple[FrameFile, PosedFrame, UInt8Array | None],
-) -> FloorBrightness:
+) -> FloorBrightness | None:
+    """Return the floor's brightness in a frame; None when it cannot be read."""
     file, shot, gray = job
     try:
         gray = read_thumbnail(file) if gray is None else gray
     except FrameError:
-        return exposure.no_brightness()
+        return None
     return exposure.observe(gray, shot.calibration, hull, shot.map_from_robot, step)
 
 

@@ -65,13 +65,15 @@ def stitch(
         replaced = overwrite or resumed
         with staging_folder(output, PRODUCTS, inputs=drive.paths, overwrite=replaced) as staging:
             if resumed:
-                resume.resume(drive, checkpoint, session)
+                drive = resume.resume(drive, checkpoint, session)
             elif options.resume:
                 session.notify("nothing to resume: no run was cut off; the run begins anew")
             located = locate_frames(drive, checkpoint, session)
             located = self_calibrate(located, session)
             painted = paint(located, staging, checkpoint, session)
             write(located, staging, checkpoint, session)
+            if session.interruption.happened or painted.unread or located.vanished:
+                checkpoint.keep()
     seconds, interrupted = time.monotonic() - started, session.interruption.happened
     return report.report(located, painted, output, seconds, interrupted=interrupted)
 
@@ -79,21 +81,30 @@ def stitch(
 def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> LocatedDrive:
     """First pass over the frames: each to its pose or the reason why it has none.
 
-    Frames that a resumed mapper has seen are done. The state is saved now and then.
+    Frames that a resumed mapper has seen are done. The state is saved now and then, until a frame
+    vanishes: a resumed run finds it again. From here on each file must keep the content that was
+    read.
     """
     schedule, thumbnails = resume.SaveSchedule(), Thumbnails()
-    files, mapper = drive.inputs.files, drive.mapper
-    for done in run_mapper(mapper, files, session, thumbnails):
+    files, mapper, vanished = list(drive.inputs.files), drive.mapper, list[str]()
+    missing = {file.index for file in files if not file.path.exists()}
+    for prepared in run_mapper(mapper, files, session, thumbnails):
+        done, file = prepared.index + 1, files[prepared.index]
+        files[prepared.index] = replace(file, digest=prepared.digest)
+        if not prepared.digest and file.index not in missing and not file.path.exists():
+            vanished.append(file.name)
         if drive.options.debug:
             draw_trials(mapper.registrations, checkpoint.drawings)
         stop = session.interruption.stops_here()
-        if stop or schedule.due() or done == len(files):
-            schedule.run(lambda: resume.save(mapper, checkpoint, len(files)))
+        if not vanished and (stop or schedule.due() or done == len(files)):
+            schedule.run(lambda: resume.save(mapper, files, checkpoint))
         if stop:
             break
     offset = feed_shifted(mapper, drive.telemetry) if drive.telemetry.find_time_offset else ""
     finish(mapper, session)
-    return LocatedDrive(drive, mapper, registration_of(mapper), thumbnails, offset)
+    drive = replace(drive, inputs=replace(drive.inputs, files=files))
+    registered = registration_of(mapper)
+    return LocatedDrive(drive, mapper, registered, thumbnails, tuple(vanished), offset)
 
 
 def self_calibrate(located: LocatedDrive, session: Session) -> LocatedDrive:
@@ -129,7 +140,7 @@ def paint(
 
 
 def write(located: LocatedDrive, staging: Path, checkpoint: Checkpoint, session: Session) -> None:
-    """Write all but the pictures of the map; leave the state of an interrupted run."""
+    """Write all but the pictures of the map."""
     options, registered = located.drive.options, located.registered
     write_poses(staging / "poses.csv", located.estimates)
     if located.self_calibration is not None:
@@ -140,5 +151,3 @@ def write(located: LocatedDrive, staging: Path, checkpoint: Checkpoint, session:
     exports.write_exports(staging, options.export, registered, located.mapper)
     report.write_run(staging / "run.toml", located, session)
     move_folder(checkpoint.drawings, staging / _DRAWINGS)
-    if session.interruption.happened:
-        checkpoint.keep()

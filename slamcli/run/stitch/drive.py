@@ -72,6 +72,8 @@ class LocatedDrive:
         Camera, poses and links; refined by the self-calibration if there was one.
     thumbnails : Thumbnails
         Of the frames decoded on the way.
+    vanished : tuple of str
+        Names of the frames whose files were there at first and could not be read later.
     time_offset : str
         A line on the sensors' clock against the frames'; empty when it was not to be found.
     self_calibration : SelfCalibration or None
@@ -81,6 +83,7 @@ class LocatedDrive:
     mapper: Mapper
     registered: RegisteredDrive
     thumbnails: Thumbnails
+    vanished: tuple[str, ...]
     time_offset: str
     self_calibration: SelfCalibration | None = None
 

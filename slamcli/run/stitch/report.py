@@ -12,7 +12,7 @@ from slamcli.io import runs, toml
 from slamcli.mapping.backend.pose_graph import placed_fragments
 from slamcli.run.calibrate.self_calibration import describe, run_section
 from slamcli.run.networks import LEARNED
-from slamcli.run.paint.outputs import PaintedMaps
+from slamcli.run.paint.outputs import PaintedMaps, counted
 from slamcli.run.session.session import Session
 from slamcli.run.stitch import exports
 from slamcli.run.stitch.drive import Drive, LocatedDrive
@@ -44,9 +44,13 @@ def report(
         lines.append("interrupted: written is what there was; --resume continues from there")
     elif code == ExitCode.INCOMPLETE:
         lines.append(f"incomplete: {len(placed)} of {len(estimates)} placed")
+    if located.vanished:
+        lines.append(f"incomplete: {counted(located.vanished)} vanished before being located")
     if painted.unread:
-        code = ExitCode.INCOMPLETE if code == ExitCode.DONE else code
         lines.append(painted.note)
+    if located.vanished or painted.unread:
+        code = ExitCode.INCOMPLETE if code == ExitCode.DONE else code
+        lines.append("put them back, and --resume continues from what was located before")
     rows = [
         ("frames", str(len(estimates))),
         ("placed", f"{len(placed)} ({len(placed) / len(estimates):.0%})"),

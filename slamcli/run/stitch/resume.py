@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -13,6 +13,7 @@ from slamcli import __version__
 from slamcli.core.config import ProductOptions
 from slamcli.core.errors import InputError
 from slamcli.io.checkpoints import Checkpoint, run_key
+from slamcli.io.frames import FrameFile
 from slamcli.io.record_columns import from_columns, to_columns
 from slamcli.mapping.mapper import Mapper
 from slamcli.mapping.saved_state import MapperState, check
@@ -23,7 +24,7 @@ from slamcli.run.stitch.options import StitchOptions
 
 # Raised whenever a class of the saved state moves or changes its fields: an older state is then
 # another run's, of which there is nothing to resume.
-_STATE_LAYOUT = 3
+_STATE_LAYOUT = 4
 # A state is saved at most so often, and takes at most this share of the time.
 _SAVE_SECONDS, _MAX_SAVE_SHARE = 5.0, 0.05
 
@@ -49,8 +50,18 @@ def begin(drive: Drive, checkpoint: Checkpoint, *, overwrite: bool) -> bool:
     return checkpoint.begin(key, resume=drive.options.resume, overwrite=overwrite)
 
 
-def resume(drive: Drive, checkpoint: Checkpoint, session: Session) -> None:
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """The state of a mapper, and the digests of the files of the frames that it has seen."""
+
+    mapper: MapperState
+    digests: list[bytes]
+
+
+def resume(drive: Drive, checkpoint: Checkpoint, session: Session) -> Drive:
     """Bring the drive's mapper to where a run that was cut off has saved its state.
+
+    The drive that is returned accepts no other content of the frames that were read.
 
     When the latest state is damaged, that is to the one before; without one the run begins anew,
     and the finished tiles are of use all the same.
@@ -60,26 +71,32 @@ def resume(drive: Drive, checkpoint: Checkpoint, session: Session) -> None:
     InputError
         When a state whose checksum is right cannot be that of this run.
     """
-    files = drive.inputs.files
     columns, faults = checkpoint.load()
     for fault in faults:
         session.notify(f"{fault}; the run goes on without it")
     if columns is None:
-        return
+        return drive
     try:
-        state = from_columns(MapperState, columns)
-        check(state)
+        state = from_columns(_State, columns)
+        check(state.mapper)
+        known = zip(drive.inputs.files, state.digests, strict=False)
+        files = [replace(file, digest=digest) for file, digest in known]
+        files += drive.inputs.files[len(files) :]
         prepared = {
             index: read_and_prepare(drive.mapper.prepare, files[index])
-            for index in sorted(state.tracking.indices)
+            for index in sorted(state.mapper.tracking.indices)
         }
-        drive.mapper.restore(state, prepared)
+        lost = [files[i] for i, one in prepared.items() if one.digest != files[i].digest]
+        if lost:
+            raise InputError(f"cannot resume: {lost[0].path} vanished or changed; put it back")
+        drive.mapper.restore(state.mapper, prepared)
     except (ValueError, LookupError, cv2.error) as error:
         raise InputError(
             f"the state in {checkpoint.folder} is of no use ({error}); --overwrite to begin anew"
         ) from error
     located = len(drive.mapper.estimates)
     session.notify(f"resumed: {located} of {len(files)} frames had been located")
+    return replace(drive, inputs=replace(drive.inputs, files=files))
 
 
 def tiles(options: StitchOptions, checkpoint: Checkpoint) -> Path:
@@ -87,10 +104,12 @@ def tiles(options: StitchOptions, checkpoint: Checkpoint) -> Path:
     return checkpoint.tiles(f"{options.products!r} {options.self_calibrate}")
 
 
-def save(mapper: Mapper, checkpoint: Checkpoint, total: int) -> None:
+def save(mapper: Mapper, files: Sequence[FrameFile], checkpoint: Checkpoint) -> None:
     """Save a mapper's state after some of all frames; raises OutputError."""
-    state = to_columns(MapperState, mapper.state())
-    checkpoint.save(state, len(mapper.estimates), total)
+    located = len(mapper.estimates)
+    digests = [file.digest for file in files[:located]]
+    columns = to_columns(_State, _State(mapper.state(), digests))
+    checkpoint.save(columns, located, len(files))
 
 
 class SaveSchedule:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -74,11 +75,79 @@ def test_frames_that_vanish_before_they_are_painted_are_named(
 
     report = stitched(frames, tmp_path / "out", Session(workers, progress=progress))
     assert report.exit_code == ExitCode.INCOMPLETE
-    assert report.lines[1:3] == (
-        "incomplete: not painted, as they could not be read again: 0001.jpg",
+    assert report.lines[1:4] == (
+        "incomplete: 1 frame (0001.jpg) not painted: vanished or changed since they were located",
+        "put them back, and --resume continues from what was located before",
         "frames       4",
     )
     assert (tmp_path / "out" / "mosaic.png").is_file()
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    paths = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+
+
+def damage(frames: Path, kind: str) -> None:
+    """Change a frame: its time is that of before where a copy may have kept it."""
+    path = frames / "0001.jpg"
+    data, status = path.read_bytes(), path.stat()
+    if kind == "removed":
+        path.unlink()
+    elif kind == "truncated":
+        path.write_bytes(data[: len(data) // 2])
+    else:
+        path.write_bytes((frames / "0002.jpg").read_bytes())
+        os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+
+
+@pytest.mark.parametrize("stage", ["locating 4", "comparing light 2"])
+@pytest.mark.parametrize("kind", ["removed", "truncated", "replaced"])
+def test_a_run_whose_frames_change_goes_on_when_they_are_back(
+    frames: Path, tmp_path: Path, kind: str, stage: str
+) -> None:
+    stitched(frames, tmp_path / "whole", Session())
+    kept, cut = tmp_path / "kept", tmp_path / "cut"
+    shutil.copytree(frames, kept)
+
+    def progress(now: str, done: int, _total: int) -> None:
+        if f"{now} {done}" == stage:
+            damage(frames, kind)
+
+    report = stitched(frames, cut, Session(progress=progress))
+    assert report.exit_code == ExitCode.INCOMPLETE
+    assert "incomplete: 1 frame (0001.jpg) not painted" in report.lines[1]
+    shutil.copy2(kept / "0001.jpg", frames)
+    notices: list[str] = []
+    report = stitched(frames, cut, Session(notify=notices.append), resume=True)
+    assert notices[0] == "resumed: 4 of 4 frames had been located"
+    assert report.exit_code == ExitCode.DONE
+    assert contents(cut) == contents(tmp_path / "whole")
+
+
+def test_a_run_whose_frames_vanish_keeps_what_it_located_before(
+    frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(resume, "_SAVE_SECONDS", 0.0)
+    monkeypatch.setattr(resume, "_MAX_SAVE_SHARE", 1e9)
+    stitched(frames, tmp_path / "whole", Session())
+    kept, cut = tmp_path / "kept", tmp_path / "cut"
+    shutil.copytree(frames, kept)
+
+    def progress(stage: str, done: int, _total: int) -> None:
+        # The last one is not read ahead yet.
+        if (stage, done) == ("locating", 1):
+            (frames / "0003.jpg").unlink()
+
+    report = stitched(frames, cut, Session(progress=progress))
+    assert report.exit_code == ExitCode.INCOMPLETE
+    assert "incomplete: 1 frame (0003.jpg) vanished before being located" in report.lines
+    shutil.copy2(kept / "0003.jpg", frames)
+    notices: list[str] = []
+    report = stitched(frames, cut, Session(notify=notices.append), resume=True)
+    assert report.exit_code == ExitCode.DONE
+    assert notices[0] == "resumed: 3 of 4 frames had been located"
+    assert contents(cut) == contents(tmp_path / "whole")
 
 
 def test_ctrl_c_is_130_in_a_command_that_cannot_stop_halfway(
