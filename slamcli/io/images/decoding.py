@@ -32,6 +32,10 @@ _HEADERS = {
     formats.PNM: plain.read_pnm_header,
     formats.GIF: plain.read_gif_header,
 }
+_DEAD_STRETCHES = {
+    formats.WEBP: webp.check_dead_stretch,
+    formats.TIFF: tiff.check_dead_stretch,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +94,8 @@ def decode(data: bytes, reading: Reading) -> tuple[UInt8Array, UInt8Array | None
         return turn(image, segments.header.orientation), None
     header = _HEADERS[kind](data)
     _check_size(header, reading)
-    if kind == formats.WEBP:
-        webp.check_dead_stretch(data)
+    if kind in _DEAD_STRETCHES:
+        _DEAD_STRETCHES[kind](data)
     # OpenCV turns every TIFF, and no other file here.
     code = 1 if kind == formats.TIFF else header.orientation
     mask = _transparency(data) if header.has_alpha else None

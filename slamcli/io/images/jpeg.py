@@ -6,6 +6,7 @@ gives the same pixels in the same time [benchmarks/damaged_pictures.py], and rep
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Iterator
@@ -21,14 +22,20 @@ from slamcli.io.images.exif import EXIF_START, orientation
 from slamcli.io.images.header import Header, check_length, truncated
 
 END = b"\xff\xd9"
+_SCAN = b"\xff\xda"
 _FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _ARITHMETIC_MARKERS = frozenset(range(0xC9, 0xD0))
 _PROGRESSIVE = 0xC2
 _TABLES, _APP1, _START_OF_SCAN = 0xC4, 0xE1, 0xDA
 _AC_TABLE = 1
 # Zero bits are a run of coefficients of -1 where the first code of the luma table is not the end of
-# a block: 24 zero bytes would fill a block, which no floor does. [benchmarks/damaged_pictures.py]
-_DEAD_RUN = b"\0" * 48
+# a block: 24 zero bytes would fill a block, which no floor does. A progressive scan of AC has no
+# two ends in a row, as they are counted; its refinement may repeat 1000 zero bits in drawn
+# pictures. [guarded by benchmarks/damaged_pictures.py]
+_MIN_DEAD_BYTES, _MIN_DEAD_REFINEMENT_BYTES = 48, 512
+_ZEROS = re.compile(rb"\0{%d,}" % _MIN_DEAD_BYTES)
+# Erased memory: in a scan, a byte of ones is followed by zero or a marker, which may be padded.
+_ERASED = re.compile(rb"\xff{16,}[^\xff\xd9]")
 # Cameras pad the data before the end marker; a damaged scan leaves hundreds of bytes
 # [guarded by benchmarks/damaged_pictures.py].
 _MAX_EXTRA_BYTES = 16
@@ -52,14 +59,16 @@ class JpegHeader:
         1 gray, 3 colour, 4 CMYK.
     scan_offset : int
         Where the first scan's data begin, bytes.
-    zero_is_end_of_block : bool
-        Whether a stretch of zero bytes is what flat blocks are coded as, or may be.
+    progressive : bool
+    zero_is_flat : bool
+        Whether a stretch of zero bytes may be what flat blocks of the first scan are coded as.
     """
 
     header: Header
     components: int
     scan_offset: int
-    zero_is_end_of_block: bool
+    progressive: bool
+    zero_is_flat: bool
 
 
 def read_header(data: bytes) -> JpegHeader:
@@ -89,7 +98,7 @@ def decode(data: bytes, jpeg: JpegHeader, *, gray: bool, factor: int) -> UInt8Ar
     FrameError
         When libjpeg warns of damage, or a stretch of the scan is zero.
     """
-    _check_dead_run(data, jpeg)
+    _check_dead_stretch(data, jpeg)
     space = "CMYK" if jpeg.components == 4 else "GRAY" if gray else "BGR"
     sides = (-(-jpeg.header.height // factor), -(-jpeg.header.width // factor))
     least = sides if factor > 1 else (0, 0)
@@ -155,23 +164,39 @@ def _header(
     header = Header(width, height, orientation=turn)
     if width * height > _MAX_PIXELS_PER_BYTE * len(data):
         raise truncated()
-    if marker == _PROGRESSIVE and data.count(b"\xff\xda", scan[1]) > _MAX_SCANS:
+    if marker == _PROGRESSIVE and data.count(_SCAN, scan[1]) > _MAX_SCANS:
         raise FrameError("damaged: the JPEG has more scans than any encoder writes")
-    # Other codes than Huffman's, progressive scans and those of the chroma alone have their own
-    # meaning of zeros. Without tables the standard ones hold, whose first luma symbol is 1.
-    opaque = marker == _PROGRESSIVE or marker in _ARITHMETIC_MARKERS or scan[0][0] != components
+    # Other codes than Huffman's and scans of the luma alone have their own meaning of zeros.
+    # Without tables the standard ones hold, whose first luma symbol is 1.
+    opaque = marker in _ARITHMETIC_MARKERS or scan[0][0] != components
     symbol = first_symbols.get(scan[0][2] & 15, 1)
-    return JpegHeader(header, components, scan[1], opaque or symbol == 0)
+    return JpegHeader(header, components, scan[1], marker == _PROGRESSIVE, opaque or symbol == 0)
 
 
-def _check_dead_run(data: bytes, jpeg: JpegHeader) -> None:
-    """Raise FrameError when a stretch of the scan is zero that is not padding before the end."""
-    if jpeg.zero_is_end_of_block:
-        return
-    run = data.find(_DEAD_RUN, jpeg.scan_offset)
-    end = data.find(END, jpeg.scan_offset) if run >= 0 else -1
-    if run >= 0 and (end < 0 or run < end) and data[run : max(end, run)].strip(b"\0"):
-        raise FrameError("damaged: a stretch of the file is zero")
+def _check_dead_stretch(data: bytes, jpeg: JpegHeader) -> None:
+    """Raise FrameError when a stretch of a scan is zeros or ones and no padding before the end."""
+    if data.find(b"\0" * _MIN_DEAD_BYTES, jpeg.scan_offset) >= 0:
+        end = data.find(END, jpeg.scan_offset)
+        scans = data if end < 0 else data[:end].rstrip(b"\0")
+        for zeros in _ZEROS.finditer(scans, jpeg.scan_offset):
+            if len(zeros[0]) >= _dead_bytes(data, jpeg, zeros.start()):
+                raise FrameError("damaged: a stretch of the file is zero")
+    if data.find(b"\xff" * 16, jpeg.scan_offset) >= 0:
+        end = data.find(END, jpeg.scan_offset)
+        if _ERASED.search(data, jpeg.scan_offset, len(data) if end < 0 else end):
+            raise FrameError("damaged: a stretch of the file is erased (bytes of ones)")
+
+
+def _dead_bytes(data: bytes, jpeg: JpegHeader, offset: int) -> float:
+    """Return the least count of zero bytes at an offset that no picture is coded as."""
+    if not jpeg.progressive:
+        return math.inf if jpeg.zero_is_flat else _MIN_DEAD_BYTES
+    scan = data.rfind(_SCAN, 0, offset) + 4
+    bands = scan + 1 + 2 * data[scan]
+    if data[bands] == 0:  # the first coefficients: flat floors have zeros here
+        return math.inf
+    is_refinement = data[bands + 2] >> 4
+    return _MIN_DEAD_REFINEMENT_BYTES if is_refinement else _MIN_DEAD_BYTES
 
 
 def _without_harm(data: bytes, warning: str) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+import zlib
 from typing import BinaryIO
 
 from slamcli.core.errors import FrameError
@@ -11,12 +12,22 @@ from slamcli.io.images.header import Header, truncated
 
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _WIDTH, _HEIGHT, _BITS, _ORIENTATION = 256, 257, 258, 274
+_COMPRESSION, _SAMPLES = 259, 277
 _OFFSETS, _COUNTS = (273, 324), (279, 325)  # of strips, of tiles
 _FORMATS = {1: "B", 3: "H", 4: "I", 16: "Q"}
 _MAX_PAGES = 10_000
 _MAX_ENTRIES = 4096
 _MAX_VALUES = 1_000_000
 _READ_BITS = 16
+_PLAIN, _LZW, _JPEG, _PACKBITS, _DEFLATE = 1, 5, 7, 32773, frozenset({8, 32946})
+# Of others OpenCV makes black pictures.
+_READ_METHODS = frozenset({_PLAIN, _LZW, _JPEG, _PACKBITS, *_DEFLATE})
+# Zeros, and what erased memory reads as.
+_SUSPECT = (b"\0" * 32, b"\xff" * 32)
+_SPARE_BYTES = 65_536
+
+
+_WANTED = {_WIDTH, _HEIGHT, _BITS, _ORIENTATION, _COMPRESSION, _SAMPLES, *_OFFSETS, *_COUNTS}
 
 
 class _Walker:
@@ -36,11 +47,10 @@ class _Walker:
         if count > _MAX_ENTRIES:
             raise EOFError
         tags: dict[int, tuple[int, ...]] = {}
-        wanted = {_WIDTH, _HEIGHT, _BITS, _ORIENTATION, *_OFFSETS, *_COUNTS}
         for place in range(offset + head, offset + head + size * count, size):
             tag, kind = struct.unpack(f"{self._order}HH", self._read(place, 4))
             number = self._number(place + 4, letter)
-            if tag not in wanted or kind not in _FORMATS or number > _MAX_VALUES:
+            if tag not in _WANTED or kind not in _FORMATS or number > _MAX_VALUES:
                 continue
             layout = f"{self._order}{number}{_FORMATS[kind]}"
             length = struct.calcsize(layout)
@@ -63,23 +73,73 @@ class _Walker:
 
 def read_header(data: bytes) -> Header:
     """Return what the first page declares, its strips or tiles in the file; raises FrameError."""
-    try:
-        walker = _Walker(io.BytesIO(data))
-        tags, _ = walker.directory(walker.first)
-    except (EOFError, OSError, OverflowError, ValueError) as error:
-        raise truncated() from error
+    tags = _first_page(data)
     if not tags.get(_WIDTH) or not tags.get(_HEIGHT):
         raise FrameError("damaged: the TIFF does not say how large its picture is")
     bits = max(tags.get(_BITS) or (1,))
     if bits > _READ_BITS:
         raise FrameError(f"a TIFF of {bits} bits a sample cannot be read; save it as PNG")
-    turn = (tags.get(_ORIENTATION) or (1,))[0]
+    method = _first(tags, _COMPRESSION)
+    if method not in _READ_METHODS:
+        raise FrameError(f"a TIFF of compression {method} cannot be read; save it as PNG")
+    turn = _first(tags, _ORIENTATION)
     header = Header(tags[_WIDTH][0], tags[_HEIGHT][0], bits, turn if 1 <= turn <= 8 else 1)
-    for offsets, counts in zip(_OFFSETS, _COUNTS, strict=True):
-        ends = zip(tags.get(offsets, ()), tags.get(counts, ()), strict=False)
-        if any(offset + count > len(data) for offset, count in ends):
-            raise truncated()
+    if any(offset + count > len(data) for offset, count in _parts(tags)):
+        raise truncated()
     return header
+
+
+def check_dead_stretch(data: bytes) -> None:
+    """Raise FrameError when a stretch of equal bytes lies in compressed data that cannot have one.
+
+    Neither LZW nor PackBits writes the same code three times in a row; deflate has a checksum. The
+    decoder goes on with what a damaged strip gives, and says nothing.
+    """
+    tags = _first_page(data)
+    method = _first(tags, _COMPRESSION)
+    if method not in {_LZW, _PACKBITS, *_DEFLATE}:
+        return
+    # No strip is larger than the picture; the tiles at its border may be.
+    samples = _first(tags, _SAMPLES) * max(tags.get(_BITS) or (1,)) // 8 + 1
+    limit_bytes = samples * tags[_WIDTH][0] * tags[_HEIGHT][0] + _SPARE_BYTES
+    for offset, count in _parts(tags):
+        part = data[offset : offset + count]
+        if not any(stretch in part for stretch in _SUSPECT):
+            continue
+        if method not in _DEFLATE or not _inflates(part, limit_bytes):
+            raise FrameError("damaged: a stretch of the file is zero")
+
+
+def _first_page(data: bytes) -> dict[int, tuple[int, ...]]:
+    try:
+        walker = _Walker(io.BytesIO(data))
+        return walker.directory(walker.first)[0]
+    except (EOFError, OSError, OverflowError, ValueError) as error:
+        raise truncated() from error
+
+
+def _first(tags: dict[int, tuple[int, ...]], tag: int) -> int:
+    """Return a tag's first value; 1, the default of those that are read so, where it is missing."""
+    return (tags.get(tag) or (1,))[0]
+
+
+def _parts(tags: dict[int, tuple[int, ...]]) -> list[tuple[int, int]]:
+    """Return offset and length of the strips and tiles, bytes."""
+    return [
+        part
+        for offsets, counts in zip(_OFFSETS, _COUNTS, strict=True)
+        for part in zip(tags.get(offsets, ()), tags.get(counts, ()), strict=False)
+    ]
+
+
+def _inflates(part: bytes, limit_bytes: int) -> bool:
+    """Return whether deflated data end with the right checksum within a length."""
+    inflater = zlib.decompressobj()
+    try:
+        inflater.decompress(part, limit_bytes)
+    except zlib.error:
+        return False
+    return inflater.eof
 
 
 def count_pages(stream: BinaryIO) -> int:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -12,6 +14,7 @@ from PIL import Image
 
 from slamcli.core.errors import FrameError
 from slamcli.io.frames import list_frames, read_frame, read_image, read_reduced_gray
+from slamcli.io.images import tiff
 
 SIZE = (480, 640)
 
@@ -43,6 +46,10 @@ def reason(path: Path, data: bytes) -> str:
             read()
     assert texts[0] == texts[1]
     return texts[0]
+
+
+def decoded(data: bytes) -> np.ndarray:
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_BGR)
 
 
 def zeroed(data: bytes, start: float, share: float) -> bytes:
@@ -78,6 +85,25 @@ def test_a_zeroed_stretch_of_a_jpeg_is_damage(tmp_path: Path, kind: str, start: 
 
 
 @pytest.mark.parametrize("kind", ["plain", "progressive", "optimised", "restarts"])
+def test_an_erased_stretch_of_a_jpeg_is_damage(tmp_path: Path, kind: str) -> None:
+    data = encoded("JPEG", textured(), quality=90, **KINDS[kind])
+    start, count = len(data) // 2, len(data) // 8
+    erased = data[:start] + b"\xff" * count + data[start + count :]
+    assert "bytes of ones" in reason(tmp_path / "0.jpg", erased)
+    padded = data[:-2] + b"\xff" * 100 + data[-2:]
+    (tmp_path / "0.jpg").write_bytes(padded)
+    np.testing.assert_array_equal(read_image(tmp_path / "0.jpg"), decoded(data))
+
+
+def test_zeros_in_the_last_scan_of_a_progressive_jpeg_are_damage(tmp_path: Path) -> None:
+    """The decoder is silent: they leave the last bit of the coefficients as it is."""
+    data = encoded("JPEG", textured(), quality=75, progressive=True)
+    start = data.rfind(b"\xff\xda") + 2000
+    changed = data[:start] + bytes(1200) + data[start + 1200 :]
+    assert "is zero" in reason(tmp_path / "0.jpg", changed)
+
+
+@pytest.mark.parametrize("kind", ["plain", "progressive", "optimised", "restarts"])
 def test_a_jpeg_cut_with_its_end_put_back_is_damage(tmp_path: Path, kind: str) -> None:
     data = encoded("JPEG", textured(), quality=90, **KINDS[kind])
     cut = data[: int(len(data) * 0.7)] + b"\xff\xd9"
@@ -92,6 +118,31 @@ def test_a_zeroed_stretch_of_a_webp_is_damage(tmp_path: Path, method: int, start
     path = tmp_path / "0.webp"
     assert reason(path, zeroed(data, start, 0.25)).startswith("damaged: ")
     assert "truncated" in reason(path, data[: int(len(data) * 0.7)])
+
+
+@pytest.mark.parametrize("byte", [b"\0", b"\xff"])
+@pytest.mark.parametrize("method", ["tiff_adobe_deflate", "tiff_lzw", "packbits"])
+def test_a_dead_stretch_of_a_compressed_tiff_is_damage(
+    tmp_path: Path, method: str, byte: bytes
+) -> None:
+    data = encoded("TIFF", textured(), compression=method)
+    start, count = len(data) // 3, len(data) // 10
+    changed = data[:start] + count * byte + data[start + count :]
+    assert reason(tmp_path / "0.tif", changed).startswith("damaged: ")
+
+
+def test_what_inflates_without_end_is_cut_at_the_size_of_the_picture() -> None:
+    bomb = zlib.compress(bytes(10_000_000), 9)
+    assert tiff._inflates(bomb, 10_000_001)
+    assert not tiff._inflates(bomb, 1_000_000)
+
+
+def test_an_unknown_compression_of_a_tiff_is_a_reason(tmp_path: Path) -> None:
+    """OpenCV gives a black picture."""
+    data = encoded("TIFF", textured(), compression="tiff_lzw")
+    place = data.find(struct.pack("<HHI", 259, 3, 1)) + 8
+    changed = data[:place] + struct.pack("<H", 30444) + data[place + 2 :]
+    assert "compression 30444" in reason(tmp_path / "0.tif", changed)
 
 
 def test_a_png_with_a_changed_byte_is_damage(tmp_path: Path) -> None:
@@ -137,6 +188,8 @@ def test_no_good_picture_is_damage(tmp_path: Path, name: str) -> None:
         for method in (0, 4, 6)
         for quality in (20, 75, 100)
     }
+    for method in (None, "tiff_adobe_deflate", "tiff_lzw", "packbits"):
+        files[f"{method}.tif"] = encoded("TIFF", image, compression=method)
     files["lossless.webp"] = encoded("WEBP", image, lossless=True)
     files["gray.jpg"] = encoded("JPEG", image[..., 0], optimize=True)
     for file, data in files.items():
