@@ -12,11 +12,13 @@ import cv2
 
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.errors import InputError, OutputError
+from slamcli.io.images.own import marked
 
 # Of the folders whose files become results together; until then none of them is promised.
 STAGING_PREFIX = ".partial-"
 # More files than this are written to the disk by one call, which does so for the whole system.
 _MAX_SYNCED_SINGLY = 64
+_JPEG_QUALITY = 95
 
 
 def write_bytes(path: Path, data: bytes, *, durable: bool = True) -> None:
@@ -69,12 +71,21 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def write_image(path: Path, image: UInt8Array, *, jpeg_quality: int = 95) -> None:
+def write_drawing(path: Path, image: UInt8Array) -> None:
+    """Write a picture as `write_image` does, with the mark of those that are no frames."""
+    write_bytes(path, marked(_encoded(path, image, _JPEG_QUALITY)))
+
+
+def write_image(path: Path, image: UInt8Array, *, jpeg_quality: int = _JPEG_QUALITY) -> None:
     """Write gray, BGR or BGRA pixels; the format follows the name's suffix (.png, .jpg).
 
     A fast PNG compression is chosen, of differences from row to row: 5 % larger than at level 3, in
     less than half of its time.
     """
+    write_bytes(path, _encoded(path, image, jpeg_quality))
+
+
+def _encoded(path: Path, image: UInt8Array, jpeg_quality: int) -> bytes:
     if path.suffix.lower() in {".jpg", ".jpeg"}:
         parameters = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
     else:
@@ -83,7 +94,7 @@ def write_image(path: Path, image: UInt8Array, *, jpeg_quality: int = 95) -> Non
     encoded, data = cv2.imencode(path.suffix.lower(), image, parameters)
     if not encoded:
         raise OutputError(f"cannot write {path}: a picture of {image.shape} cannot be encoded")
-    write_bytes(path, data.tobytes())
+    return data.tobytes()
 
 
 def sync_files(folder: Path) -> None:

@@ -12,6 +12,7 @@ from slamcli.core.arrays import UInt8Array
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.records import Frame
 from slamcli.io.images.decoding import Reading, decode, picture_size, read_bytes, sample_bits
+from slamcli.io.images.own import is_marked
 
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
@@ -67,7 +68,8 @@ def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
 def list_frames(sources: Sequence[Path], frame_rate: float | None = None) -> list[FrameFile]:
     """Return the pictures of folders and files, naturally sorted within each folder.
 
-    A folder without pictures of its own stands for its ``frames`` folder.
+    A folder without pictures of its own stands for its ``frames`` folder. What this program drew
+    is no frame of a folder.
 
     Parameters
     ----------
@@ -166,6 +168,7 @@ def _pictures_in(folder: Path) -> list[Path]:
         if path.suffix.lower() in IMAGE_SUFFIXES
         and not path.name.startswith(".")
         and not path.is_dir()
+        and not is_marked(path)
     ]
     return sorted(pictures, key=lambda path: natural_key(path.name))
 

@@ -11,7 +11,7 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import FeatureOptions
 from slamcli.core.records import Features, Keypoints, View
 from slamcli.drawing.keypoints import draw_keypoints
-from slamcli.io.files import write_image
+from slamcli.io.files import write_drawing
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.io.keypoints import write_keypoints
 from slamcli.run.inputs import Inputs, open_inputs
@@ -92,7 +92,7 @@ def _search(
         colour = view.make_view(frame, resampler, gray=False).image
     keypoints = features.detect(seen, options)
     drawing = draw_keypoints(view.to_colour(colour), keypoints, *_removed(seen, options))
-    write_image(staging / f"{Path(file.name).stem}{SUFFIX}", drawing)
+    write_drawing(staging / f"{Path(file.name).stem}{SUFFIX}", drawing)
     return file.name, keypoints, features.to_features(seen, keypoints, calibration)
 
 

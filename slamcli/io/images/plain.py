@@ -54,7 +54,7 @@ def read_gif_header(data: bytes) -> Header:
     return Header(width, height)
 
 
-def count_gif_frames(stream: BinaryIO) -> int:
+def count_frames(stream: BinaryIO) -> int:
     """Return the number of pictures of a GIF, counted to the first that is damaged."""
     head = stream.read(13)
     if len(head) < 13:

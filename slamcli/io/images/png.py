@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from typing import BinaryIO
 
 from slamcli.core.errors import FrameError
 from slamcli.io.images.exif import orientation
@@ -14,7 +15,18 @@ _SAMPLES = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 _ALPHA = frozenset({4, 6})
 # Deflate cannot compress more than 1032 to 1.
 _MAX_COMPRESSION = 1032
+# The chunk that an animation is declared in comes before its pixels.
+_ANIMATION_WITHIN_BYTES = 4096
 _LOWER_CASE = 0x20  # of a chunk's first letter: the picture can be shown without it
+
+
+def count_frames(stream: BinaryIO) -> int:
+    """Return the number of pictures of an animated PNG, 1 for any other."""
+    head = stream.read(_ANIMATION_WITHIN_BYTES)
+    control = head.find(b"acTL", 0, head.find(b"IDAT"))
+    if control < 0 or control + 8 > len(head):
+        return 1
+    return int(struct.unpack_from(">I", head, control + 4)[0])
 
 
 def read_header(data: bytes) -> Header:

@@ -7,11 +7,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from slamcli.io.frames import IMAGE_SUFFIXES
-from slamcli.io.images import tiff
-from slamcli.io.images.plain import count_gif_frames
+from slamcli.io.images import plain, png, tiff, webp
+from slamcli.io.images.own import is_marked
 
 # Files that a folder of frames may have for another purpose: readings, settings, results.
-_COMPANIONS = frozenset({".csv", ".json", ".md", ".slam", ".toml", ".txt", ".yaml", ".yml"})
+_COMPANIONS = frozenset(
+    {
+        *(".csv", ".json", ".md", ".slam", ".toml", ".txt", ".xml", ".yaml", ".yml"),
+        *(".jgw", ".pgw", ".tfw"),
+    }
+)
 _NAMES = {
     **dict.fromkeys((".heic", ".heif"), "HEIC"),
     **dict.fromkeys((".avif",), "AVIF"),
@@ -22,6 +27,12 @@ _NAMES = {
     **dict.fromkeys((".avi", ".m4v", ".mkv", ".mov", ".mp4", ".webm"), "video"),
 }
 _OTHER = "other"
+_MANY = (
+    (tiff.SIGNATURES, "further TIFF page", tiff.count_pages),
+    ((png.SIGNATURE,), "further PNG frame", png.count_frames),
+    ((b"GIF8",), "further GIF frame", plain.count_frames),
+    ((b"RIFF",), "further WebP frame", webp.count_frames),
+)
 
 
 def unread_note(paths: Sequence[Path]) -> str:
@@ -33,17 +44,27 @@ def unread_note(paths: Sequence[Path]) -> str:
     """
     frames = set(paths)
     kinds: Counter[str] = Counter()
+    drawings: list[str] = []
     for folder in {path.parent for path in paths}:
+        beside = _files_in(folder) - frames
+        pictures = {path for path in beside if path.suffix.lower() in IMAGE_SUFFIXES}
+        own = {path for path in pictures if is_marked(path)}
         # A frame that was named alone says nothing of the rest of its folder.
-        beside = _files_in(folder)
-        if frames.issuperset(path for path in beside if path.suffix.lower() in IMAGE_SUFFIXES):
-            kinds.update(_NAMES.get(path.suffix.lower(), _OTHER) for path in beside - frames)
-    notes = [f"{count} {kind} file{'s' * (count > 1)}" for kind, count in sorted(kinds.items())]
-    pages = sum(_further_pictures(path, {".tif", ".tiff"}) for path in paths)
-    images = sum(_further_pictures(path, {".gif"}) for path in paths)
-    notes += [f"{pages} further pages of TIFF files"] * bool(pages)
-    notes += [f"{images} further frames of GIF files"] * bool(images)
+        if own == pictures:
+            drawings += sorted(path.name for path in own)
+            kinds.update(_NAMES.get(path.suffix.lower(), _OTHER) for path in beside - own)
+    notes = [_count(count, f"{kind} file") for kind, count in sorted(kinds.items())]
+    if drawings:
+        notes.append(f"{_count(len(drawings), 'picture')} made by slamcli ({drawings[0]})")
+    further: Counter[str] = Counter()
+    for path in paths:
+        further.update(_further_pictures(path))
+    notes += [_count(count, kind) for kind, count in sorted(further.items())]
     return f"not read: {', '.join(notes)}" if notes else ""
+
+
+def _count(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' * (count > 1)}"
 
 
 def _files_in(folder: Path) -> set[Path]:
@@ -59,12 +80,18 @@ def _files_in(folder: Path) -> set[Path]:
         return set()
 
 
-def _further_pictures(path: Path, suffixes: set[str]) -> int:
-    if path.suffix.lower() not in suffixes or not path.is_file():
-        return 0
+def _further_pictures(path: Path) -> dict[str, int]:
+    """Return what a file has after its first picture, and how many."""
+    if not path.is_file():
+        return {}
     try:
         with path.open("rb") as stream:
-            pictures = count_gif_frames(stream) if ".gif" in suffixes else tiff.count_pages(stream)
+            head = stream.read(12)
+            stream.seek(0)
+            for starts, name, count in _MANY:
+                if head.startswith(starts):
+                    pictures = count(stream)
+                    return {name: pictures - 1} if pictures > 1 else {}
     except OSError:  # the frame's own reason says so
-        return 0
-    return max(pictures - 1, 0)
+        pass
+    return {}

@@ -10,6 +10,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import BinaryIO
 
 import cv2
 import numpy as np
@@ -24,6 +25,7 @@ _SUSPECT = (b"\0" * 32, b"\xff" * 32)
 # A good file cannot lose two [benchmarks/damaged_pictures.py]; the rest is margin.
 _SPARE_BYTES = 16
 _VP8_HEADER_BYTES = 10
+_MAX_FRAMES = 10_000
 
 
 def is_webp(data: bytes) -> bool:
@@ -58,6 +60,17 @@ def _size(kind: bytes, body: bytes) -> tuple[int, int]:
         return (packed & 0x3FFF) + 1, (packed >> 14 & 0x3FFF) + 1
     width, height = struct.unpack_from("<HH", body, 6)
     return width & 0x3FFF, height & 0x3FFF
+
+
+def count_frames(stream: BinaryIO) -> int:
+    """Return the number of pictures of an animation, 1 for a still picture."""
+    count = 0
+    stream.seek(12)
+    while len(head := stream.read(8)) == 8 and count < _MAX_FRAMES:
+        kind, length = struct.unpack("<4sI", head)
+        count += kind == b"ANMF"
+        stream.seek(length + length % 2, 1)
+    return max(count, 1)
 
 
 def check_dead_stretch(data: bytes) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from slamcli.core.arrays import UInt8Array
 from slamcli.io.files import write_chunks
+from slamcli.io.images.own import PNG_CHUNK
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _TRUE_COLOUR_WITH_ALPHA = 6
@@ -74,6 +75,7 @@ def _chunks(width: int, height: int, strips: Iterable[Strip]) -> Iterator[bytes]
     yield _chunk(
         b"IHDR", struct.pack(">IIBBBBB", width, height, 8, _TRUE_COLOUR_WITH_ALPHA, 0, 0, 0)
     )
+    yield PNG_CHUNK
     yield _chunk(b"IDAT", _STREAM_HEADER)
     checksum = zlib.adler32(b"")
     for strip in strips:

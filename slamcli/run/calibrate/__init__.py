@@ -20,7 +20,7 @@ from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.core.records import Frame
 from slamcli.drawing.calibration import birdseye_grid, draw_calibration
 from slamcli.io.calibrations import CalibrationSource, load_intrinsics, save_calibration
-from slamcli.io.files import write_image
+from slamcli.io.files import write_drawing
 from slamcli.io.frames import read_image
 from slamcli.io.outputs import refuse_existing
 from slamcli.run.calibrate.mountings import (
@@ -274,7 +274,7 @@ def _write(path: Path, result: Result, options: CalibrateOptions) -> None:
     )
     origin = CalibrationSource(result.photo.name, target.name, options.side_metres, target.outline)
     save_calibration(path, calibration, origin)
-    write_image(path.with_suffix(".png"), picture)
+    write_drawing(path.with_suffix(".png"), picture)
 
 
 def _aligned(photos: Sequence[Path], results: Sequence[Result]) -> list[Result | None]:

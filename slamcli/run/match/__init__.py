@@ -16,7 +16,7 @@ from slamcli.core.geometry import apply_homography, invert
 from slamcli.drawing.correlation_surface import draw_surface
 from slamcli.drawing.matches import draw_matches
 from slamcli.drawing.obstacles import draw_obstacles
-from slamcli.io.files import write_image
+from slamcli.io.files import write_drawing
 from slamcli.io.outputs import refuse_existing
 from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.match.fitting import (
@@ -127,7 +127,7 @@ def match(
     note = inputs.note if inputs.calibration_path else "no calibration: pixel units"
     lines = [*note.splitlines(), *report_lines(facts, fit)]
     if drawing is not None:
-        write_image(drawing, _draw(pictures, fit, lines))
+        write_drawing(drawing, _draw(pictures, fit, lines))
         lines.append(f"drawing: {drawing}")
     return MatchReport(
         tuple(lines), json.dumps(facts, indent=2, ensure_ascii=False), 1 if fit.reason else 0

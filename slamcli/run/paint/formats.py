@@ -15,7 +15,7 @@ from slamcli.core.camera.calibration import Unit
 from slamcli.core.config import Layer, ProductOptions
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Grid, Pose2
-from slamcli.io.files import write_image
+from slamcli.io.files import write_drawing
 from slamcli.io.raster import deepzoom, geotiff, png, world_file
 from slamcli.io.raster.tile_store import StoredTile, TileStore, put_part
 from slamcli.run.session.session import Session
@@ -72,7 +72,7 @@ def _write_png(output: MapToWrite) -> None:
         pixels = np.zeros((output.grid.height, output.grid.width), np.uint16)
         for row, column, tile in output.store.tiles(output.grid):
             put_part(pixels, _deep_gray(name, tile.layers[name]), row, column)
-        write_image(output.path(name, ".png"), pixels)  # type: ignore[arg-type]
+        write_drawing(output.path(name, ".png"), pixels)  # type: ignore[arg-type]
         world_file.write_world_file(output.path(name, ".pgw"), output.grid, output.map_from_painted)
 
 

@@ -10,7 +10,7 @@ from slamcli.core.config import ProductOptions
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Grid
 from slamcli.drawing.trajectory import draw_trajectory
-from slamcli.io.files import write_image
+from slamcli.io.files import write_drawing
 from slamcli.io.raster import geotiff
 from slamcli.io.raster.tile_store import TileStore
 from slamcli.run.paint.formats import FORMATS, MapToWrite, whole_tiles
@@ -129,7 +129,7 @@ def _write_map(output: MapToWrite, scene: Scene) -> None:
     height, width = mask.shape
     small = Grid(grid.x_min, grid.y_max, grid.metres_per_pixel * factor, width, height)
     drawing = draw_trajectory(image, mask, small, scene.estimates, output.unit)
-    write_image(output.path("trajectory", ".png"), drawing)
+    write_drawing(output.path("trajectory", ".png"), drawing)
 
 
 def _check_size(scene: Scene, painter: Painter, options: ProductOptions) -> None:

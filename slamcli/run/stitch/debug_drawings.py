@@ -9,7 +9,7 @@ from slamcli.core.arrays import Float64Array, Int32Array, UInt8Array
 from slamcli.core.geometry import apply_homography, invert
 from slamcli.core.records import PreparedFrame
 from slamcli.drawing.matches import draw_matches
-from slamcli.io.files import write_image
+from slamcli.io.files import write_drawing
 from slamcli.registration import RegistrationResult
 from slamcli.stages import view
 
@@ -43,7 +43,7 @@ def draw_trials(trials: Sequence[RegistrationResult], folder: Path) -> None:
             second_from_first,
             header,
         )
-        write_image(folder / f"{second.index:04d}_to_{first.index:04d}.png", drawing)
+        write_drawing(folder / f"{second.index:04d}_to_{first.index:04d}.png", drawing)
 
 
 def _drawable(

@@ -93,10 +93,15 @@ class LocatedDrive:
         return self.registered.calibration
 
     @property
+    def reached(self) -> int:
+        """How many frames the run came to: all, unless it was interrupted."""
+        return len(self.mapper.estimates)
+
+    @property
     def estimates(self) -> list[PoseEstimate]:
         """One estimate for every frame, also for those that an interrupted run did not reach."""
         reason = "not reached: interrupted"
-        left = self.drive.inputs.files[len(self.mapper.estimates) :]
+        left = self.drive.inputs.files[self.reached :]
         return [
             *self.registered.estimates,
             *(PoseEstimate(f.index, f.name, f.stamp, None, "lost", reason) for f in left),

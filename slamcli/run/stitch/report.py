@@ -55,7 +55,7 @@ def report(
         ("frames", str(len(estimates))),
         ("placed", f"{len(placed)} ({len(placed) / len(estimates):.0%})"),
         *_map_rows(located, painted),
-        ("time", f"{seconds:.1f} s, {len(estimates) / seconds:.1f} frames/s"),
+        ("time", f"{seconds:.1f} s, {located.reached / seconds:.1f} frames/s"),
         ("written to", str(output)),
     ]
     method = located.mapper.options.features.method
@@ -78,10 +78,18 @@ def _map_rows(located: LocatedDrive, painted: PaintedMaps) -> list[tuple[str, st
     return [
         ("fragments", str(len(fragments))),
         *_sensor_rows(located),
-        *(("lost", f"{e.name}: {e.reason}") for e in located.estimates if e.status == "lost"),
+        *_lost_rows(located),
         ("path length", f"{length:.3f} {unit}"),
         ("area", f"{painted.area_square_metres:.3f} {unit}²"),
     ]
+
+
+def _lost_rows(located: LocatedDrive) -> list[tuple[str, str]]:
+    """Return a row for each lost frame that was looked at, and one for all the others."""
+    reached = located.estimates[: located.reached]
+    rows = [("lost", f"{e.name}: {e.reason}") for e in reached if e.status == "lost"]
+    left = [estimate.name for estimate in located.estimates[located.reached :]]
+    return [*rows, ("not reached", counted(left))] if left else rows
 
 
 def _sensor_rows(located: LocatedDrive) -> list[tuple[str, str]]:

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from slamcli.io.files import write_drawing, write_image
 from slamcli.io.frames import list_frames, read_frame, read_image, read_reduced_gray
+from slamcli.io.images.own import is_marked
 from slamcli.io.images.unread import unread_note
+from slamcli.io.raster import png
 from slamcli.run.inputs import open_inputs
 
 PICTURE = np.tile(np.linspace(0, 255, 64).astype(np.uint8), (48, 1))
@@ -36,10 +39,43 @@ def test_further_pages_and_frames_are_counted(tmp_path: Path) -> None:
     pages = [Image.fromarray(PICTURE // n) for n in (1, 2, 3)]
     pages[0].save(tmp_path / "a.tif", save_all=True, append_images=pages[1:])
     pages[0].save(tmp_path / "b.tif")
-    assert note_of(tmp_path) == "not read: 2 further pages of TIFF files"
+    assert note_of(tmp_path) == "not read: 2 further TIFF pages"
     pages[0].save(tmp_path / "c.gif", save_all=True, append_images=pages[1:])
-    assert note_of(tmp_path / "c.gif") == "not read: 2 further frames of GIF files"
+    assert note_of(tmp_path / "c.gif") == "not read: 2 further GIF frames"
     np.testing.assert_array_equal(read_image(tmp_path / "a.tif")[..., 0], PICTURE)
+
+
+@pytest.mark.parametrize(("suffix", "kind"), [("png", "PNG"), ("webp", "WebP")])
+def test_further_frames_of_animations_are_counted(tmp_path: Path, suffix: str, kind: str) -> None:
+    pages = [Image.fromarray(PICTURE // n) for n in (1, 2, 3)]
+    path = tmp_path / f"0.{suffix}"
+    pages[0].save(path, save_all=True, append_images=pages[1:], lossless=True)
+    assert note_of(tmp_path) == f"not read: 2 further {kind} frames"
+    np.testing.assert_array_equal(read_image(path)[..., 0], PICTURE)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_what_this_program_drew_is_no_frame(tmp_path: Path, suffix: str) -> None:
+    colours = np.dstack([PICTURE] * 3)
+    for number in range(2):
+        write_image(tmp_path / f"{number}{suffix}", colours)
+    write_drawing(tmp_path / f"calibration{suffix}", colours)
+    assert [file.name for file in list_frames([tmp_path])] == [f"0{suffix}", f"1{suffix}"]
+    assert note_of(tmp_path) == f"not read: 1 picture made by slamcli (calibration{suffix})"
+    # It is a picture all the same, whatever reads it.
+    drawn = tmp_path / f"calibration{suffix}"
+    np.testing.assert_array_equal(read_image(drawn), cv2.imread(str(drawn)))
+    np.testing.assert_array_equal(read_image(drawn), read_image(tmp_path / f"0{suffix}"))
+    with Image.open(drawn) as picture:
+        assert picture.size == (64, 48)
+
+
+def test_every_picture_for_people_has_the_mark(tmp_path: Path) -> None:
+    pixels = np.zeros((48, 64, 4), np.uint8)
+    png.write_png(tmp_path / "mosaic.png", 64, 48, [png.compress(pixels)])
+    write_drawing(tmp_path / "deep.png", np.zeros((48, 64), np.uint16))
+    write_image(tmp_path / "frame.png", PICTURE)
+    assert [is_marked(path) for path in sorted(tmp_path.iterdir())] == [True, False, True]
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif", "pgm"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 import shutil
 import signal
 import subprocess
@@ -83,6 +84,9 @@ def test_ctrl_c_ends_with_what_is_there_and_can_be_gone_on_with(
         printed = process.stdout.read()
     assert process.returncode == 130
     assert "interrupted" in printed
+    # One line for all that were not reached.
+    assert re.search(r"not reached +\d frames? \(\d{4}\.\w+", printed)
+    assert "not reached: interrupted" not in printed
     rows = (cut / "poses.csv").read_text().splitlines()
     assert len(rows) == 6
     assert "not reached: interrupted" in rows[-1]
