@@ -37,7 +37,7 @@ PRODUCTS = (
     "camera.yaml",
 )
 # Start of a drive on the course, in its board's frame: a lap then stays around the middle.
-_COURSE_START = Pose2(-0.45, -0.45, 0.0)
+COURSE_START = Pose2(-0.45, -0.45, 0.0)
 _SQUARE_GRAY = 232.0
 # Half of a gray level is this share of its light (sRGB, at the floor's 140).
 _HALF_GRAY_IN_LIGHT = 0.23
@@ -73,7 +73,7 @@ def simulate(
     calibration = photograph.make_camera(options.camera)
     poses = _poses(options)
     # The course's floor is laid around its board, not around the first frame's robot.
-    world_from_map = _COURSE_START if options.floor == "course" else Pose2()
+    world_from_map = COURSE_START if options.floor == "course" else Pose2()
     photographer = photograph.Photographer(
         _world(options, calibration, poses, world_from_map),
         calibration,

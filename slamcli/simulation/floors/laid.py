@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ _PRINTS = 5
 _JOINT_METRES = 0.0012
 _TUFT_METRES = 0.004
 _SKIRTING_METRES = 0.08
+# Number of the marks' random stream.
+_MARKS = 34
 _MARK_METRES = (0.003, 0.010)
 _MARK_CONTRASTS = (0.10, 0.40)
 
@@ -38,7 +41,7 @@ def tiles(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
     gray = 196 + _repeated(printed, grid, (side, side), across, along, seed)
     edge = np.minimum(np.minimum(across, side - across), np.minimum(along, side - along))
     gray += options.wear * 12.0 * _hashed(column, row, seed + 31)
-    gray *= _marks(grid, options, x, y, seed + 34)
+    gray *= _marks(grid, options, x, y, seed)
     gray = np.where(edge < options.grout_metres / 2, 118.0, gray)
     return tinted((gray + _worn(grid, options.wear, seed)).astype(np.float32), (0.98, 1.0, 1.02))
 
@@ -53,7 +56,7 @@ def carpet_tiles(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
     across, along = np.where(turned, along, across), np.where(turned, side - across, along)
     printed = partial(_carpet_print, side)
     gray = 96 + _repeated(printed, grid, (side, side), across, along, seed)
-    gray *= _marks(grid, options, x, y, seed + 35)
+    gray *= _marks(grid, options, x, y, seed + 1)
     edge = np.minimum(np.minimum(across, side - across), np.minimum(along, side - along))
     gray = np.where(edge < 0.0006, 78.0, gray)
     trodden = smooth_noise(grid, seed + 36, 0.05)
@@ -89,6 +92,36 @@ def parquet(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
     return tinted((gray + _worn(grid, options.wear, seed)).astype(np.float32), (0.66, 0.94, 1.18))
 
 
+class Mark(NamedTuple):
+    """A spot on a tile: an ellipse along the axes, darker or lighter than what it lies on.
+
+    Attributes
+    ----------
+    centre, radii : (2,) float64
+        World metres.
+    contrast : float
+        By which share it is lighter.
+    """
+
+    centre: Float64Array
+    radii: Float64Array
+    contrast: float
+
+
+def tile_marks(options: FloorOptions, column: int, row: int, seed: int) -> list[Mark]:
+    """Return the marks of one of the `tiles`, which is `column` and `row` tiles from the origin."""
+    # Seeds are natural numbers; the offset keeps those of tiles left of the origin so.
+    generator = np.random.default_rng([seed + _MARKS, column + 2**31, row + 2**31])
+    marks = []
+    for _ in range(options.marks):
+        centre = generator.uniform(0.0, options.tile_metres, 2)
+        radii = generator.uniform(*_MARK_METRES) / 2 * generator.uniform(0.6, 1.0, 2)
+        contrast = generator.uniform(*_MARK_CONTRASTS) * generator.choice((-1.0, 0.6))
+        centre += np.array([column, row]) * options.tile_metres
+        marks.append(Mark(centre, radii, float(contrast)))
+    return marks
+
+
 def _marks(
     grid: Grid, options: FloorOptions, x: Float64Array, y: Float64Array, seed: int
 ) -> Float32Array:
@@ -100,25 +133,15 @@ def _marks(
     columns = range(int((x.min() - reach) // side), int((x.max() + reach) // side) + 1)
     rows = range(int((y.min() - reach) // side), int((y.max() + reach) // side) + 1)
     for column, row in itertools.product(columns, rows):
-        generator = np.random.default_rng([seed, column + 2**31, row + 2**31])
-        for _ in range(options.marks):
-            place = np.array([column, row]) * side + generator.uniform(0.0, side, 2)
-            radius = generator.uniform(*_MARK_METRES) / 2 * generator.uniform(0.6, 1.0, 2)
-            contrast = generator.uniform(*_MARK_CONTRASTS) * generator.choice((-1.0, 0.6))
-            _add_mark(left, grid, place, radius, float(contrast))
+        for mark in tile_marks(options, column, row, seed):
+            _add_mark(left, grid, mark)
     return left
 
 
-def _add_mark(
-    left: Float32Array,
-    grid: Grid,
-    place: Float64Array,
-    radius: Float64Array,
-    contrast: float,
-) -> None:
+def _add_mark(left: Float32Array, grid: Grid, mark: Mark) -> None:
     """Darken or lighten an ellipse whose rim is half a millimetre wide."""
-    pixel = apply_homography(grid.pixel_from_metres, place)
-    size = radius / grid.metres_per_pixel
+    pixel = apply_homography(grid.pixel_from_metres, mark.centre)
+    size = mark.radii / grid.metres_per_pixel
     low = np.floor(pixel - size - 2).astype(int)
     high = np.ceil(pixel + size + 2).astype(int) + 1
     columns = slice(max(0, low[0]), min(grid.width, high[0]))
@@ -128,8 +151,8 @@ def _add_mark(
     across = (np.arange(columns.start, columns.stop) - pixel[0]) / size[0]
     along = (np.arange(rows.start, rows.stop) - pixel[1]) / size[1]
     inside = 1.0 - np.hypot(across[None, :], along[:, None])
-    rim = 0.0005 / float(radius.min())
-    left[rows, columns] *= 1.0 + contrast * np.clip(inside / rim + 0.5, 0.0, 1.0)
+    rim = 0.0005 / float(mark.radii.min())
+    left[rows, columns] *= 1.0 + mark.contrast * np.clip(inside / rim + 0.5, 0.0, 1.0)
 
 
 def planks(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
