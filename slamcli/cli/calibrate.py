@@ -10,14 +10,17 @@ import click
 
 from slamcli.cli.options import common
 from slamcli.cli.options.fields import filled, option, stacked
-from slamcli.cli.options.values import PATH, Numbers
+from slamcli.cli.options.values import PATH, POSITIVE, Numbers
+from slamcli.core.bounds import MAX_IMAGE_SIDE, Bounds
 
 _target = partial(option, "CalibrateOptions")
+_PIXEL = Bounds(-MAX_IMAGE_SIDE, 2 * MAX_IMAGE_SIDE)
+_CORNERS = Bounds(3, 100, whole=True)
 
 _target_options = stacked(
     click.option(
         "--side",
-        type=float,
+        type=POSITIVE,
         default=0.3048,
         show_default=True,
         help="Metres: side of the square or the marker, or of one field of the chessboard.",
@@ -25,7 +28,7 @@ _target_options = stacked(
     _target(
         "corners",
         "--corners",
-        Numbers("x,y x,y x,y x,y", 2, groups=4),
+        Numbers("x,y x,y x,y x,y", 2, groups=4, limits=_PIXEL),
         "The square's corners in pixels, in any order. Default: the square is detected.",
     ),
     click.option(
@@ -38,7 +41,7 @@ _target_options = stacked(
     _target(
         "chessboard",
         "--chessboard",
-        Numbers("8x6", 2, separator="x", min_whole=3),
+        Numbers("8x6", 2, separator="x", limits=_CORNERS),
         "Use a chessboard instead, of this number of inner corners along both sides.",
     ),
     _target(

@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from slamcli.cli.options import common
-from slamcli.cli.options.values import AT_LEAST_ONE, NOT_NEGATIVE, PATH
+from slamcli.cli.options.values import AT_LEAST_ONE, PATH, Number
+from slamcli.core.bounds import SECONDS_OR_ZERO
 
 
 @click.command()
@@ -15,7 +16,7 @@ from slamcli.cli.options.values import AT_LEAST_ONE, NOT_NEGATIVE, PATH
 @click.argument("truth", type=PATH)
 @click.option(
     "--tolerance",
-    type=NOT_NEGATIVE,
+    type=Number(SECONDS_OR_ZERO),
     default=0.01,
     show_default=True,
     help="Seconds: largest difference of the stamps of two poses that are compared.",

@@ -57,6 +57,9 @@ class SlamGroup(click.Group):
         except SlamcliError as error:
             click.echo(f"Error: {error}", err=True)
             sys.exit(ExitCode.ERROR)
+        except MemoryError as error:
+            click.echo(f"Error: out of memory: {error}; give less at a time", err=True)
+            sys.exit(ExitCode.ERROR)
         except KeyboardInterrupt as error:
             if ACKNOWLEDGED not in error.args:
                 click.echo("interrupted", err=True)

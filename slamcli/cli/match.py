@@ -13,7 +13,8 @@ from slamcli.cli.options import common
 from slamcli.cli.options.features import METHODS, feature_details
 from slamcli.cli.options.fields import filled, option, stacked
 from slamcli.cli.options.matching import RATIO_TEXT, matching_details, ratio
-from slamcli.cli.options.values import AT_LEAST_ONE, PATH
+from slamcli.cli.options.values import PATH, Whole
+from slamcli.core.bounds import FEATURES
 from slamcli.core.config import FeatureOptions, MatchOptions
 
 _ratio = ratio(
@@ -40,7 +41,7 @@ _pair_options = stacked(
     _pair(
         "count",
         "--count",
-        AT_LEAST_ONE,
+        Whole(FEATURES["count"]),
         "Most feature points in a picture. Default: 500, or more with auto.",
     ),
 )

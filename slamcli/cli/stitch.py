@@ -16,7 +16,8 @@ from slamcli.cli.options.mapping import mapper_options
 from slamcli.cli.options.matching import matching_details, ratio
 from slamcli.cli.options.products import product_options
 from slamcli.cli.options.telemetry import telemetry_options
-from slamcli.cli.options.values import PATH, POSITIVE, Words
+from slamcli.cli.options.values import PATH, Number, Words
+from slamcli.core.bounds import HERTZ
 from slamcli.core.config import MapperOptions, MatchOptions
 from slamcli.core.telemetry import TelemetryOptions
 
@@ -29,7 +30,7 @@ _frame_options = stacked(
     _stitch(
         "frame_rate",
         "--frame-rate",
-        POSITIVE,
+        Number(HERTZ),
         "Frames per second, which give the frames their stamps.",
     ),
     _stitch("debug", "--debug", text="Also draw every frame's matches, in matches/.", is_flag=True),

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from slamcli.core.bounds import (
+    ANGLE,
+    COORDINATE,
+    LATITUDE_DEGREES,
+    LONGITUDE_DEGREES,
+    SIGMA_METRES,
+    SIGMA_RADIANS,
+    STAMP,
+    Bounds,
+    quoted,
+)
 from slamcli.core.errors import InputError
 
 if TYPE_CHECKING:  # numpy, which `slam --help` need not wait for
@@ -29,7 +39,9 @@ class OdometryReading:
     pose: Pose2
 
     def __post_init__(self) -> None:
-        _refuse_nonsense("odometry", (self.stamp, self.pose.x, self.pose.y, self.pose.theta))
+        _check("odometry", "stamp", self.stamp, STAMP)
+        for name in ("x", "y", "theta"):
+            _check("odometry", name, getattr(self.pose, name, None), COORDINATE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +63,9 @@ class CompassReading:
     sigma_radians: float
 
     def __post_init__(self) -> None:
-        _refuse_nonsense("compass", (self.stamp, self.heading_radians), self.sigma_radians)
+        _check("compass", "stamp", self.stamp, STAMP)
+        _check("compass", "heading_radians", self.heading_radians, ANGLE)
+        _check("compass", "sigma_radians", self.sigma_radians, SIGMA_RADIANS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,17 +88,15 @@ class GpsReading:
     sigma_metres: float
 
     def __post_init__(self) -> None:
-        place = (self.latitude_degrees, self.longitude_degrees)
-        _refuse_nonsense("GPS", (self.stamp, *place), self.sigma_metres)
-        if abs(place[0]) > 90.0 or abs(place[1]) > 360.0:
-            raise InputError(f"a GPS reading at latitude {place[0]:g}, longitude {place[1]:g}")
+        _check("GPS", "stamp", self.stamp, STAMP)
+        _check("GPS", "latitude_degrees", self.latitude_degrees, LATITUDE_DEGREES)
+        _check("GPS", "longitude_degrees", self.longitude_degrees, LONGITUDE_DEGREES)
+        _check("GPS", "sigma_metres", self.sigma_metres, SIGMA_METRES)
 
 
-def _refuse_nonsense(what: str, values: tuple[float, ...], sigma: float = 1.0) -> None:
-    if not all(map(math.isfinite, values)):
-        raise InputError(f"a reading of the {what} is not finite: {values}")
-    if not 0.0 < sigma < math.inf:
-        raise InputError(f"a reading of the {what} has sigma {sigma:g}; it must be positive")
+def _check(what: str, name: str, value: object, limits: Bounds) -> None:
+    if value not in limits:
+        raise InputError(f"a {what} reading has {name} {quoted(value)}; {limits} is needed")
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from typing import Any, get_args
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
+from slamcli.core.bounds import LENGTH, MAX_IMAGE_PIXELS, MAX_IMAGE_SIDE, Bounds, quoted
 from slamcli.core.camera.calibration import Calibration, DistortionModel, Intrinsics, Unit
 from slamcli.core.camera.mounting import compose_robot_from_image
 from slamcli.core.geometry import apply_homography
@@ -22,10 +23,9 @@ from slamcli.io.checks import (
     required,
 )
 
-# Far beyond any floor and any camera; what is larger in a file is damage.
-MAX_METRES = 1e7
-_MAX_SIDE_PIXELS = 32_768
-_MIN_METRES = 1e-6
+_SIDE = Bounds(1, MAX_IMAGE_SIDE)
+_SIGMA = Bounds(0.0, LENGTH.high)
+_HALF_TURN = Bounds(-math.pi, math.pi)
 _COEFFICIENT_COUNTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
 _ANGLES = ("pitch_radians", "roll_radians")
 _SIGMAS = (
@@ -74,16 +74,16 @@ def from_dict(section: Mapping[str, Any]) -> Calibration:
         distortion_model=intrinsics.distortion_model,
         image_size=intrinsics.image_size,
         robot_from_image=_robot_from_image(section, intrinsics, mounting),
-        max_range_metres=check_number(max_range, "max_range_metres", _MIN_METRES, MAX_METRES),
+        max_range_metres=check_number(max_range, "max_range_metres", LENGTH),
         unit=unit,
         **mounting,
-        **{name: _number_or_nan(section.get(name), name, 0.0) for name in _SIGMAS},
+        **{name: _number_or_nan(section.get(name), name, _SIGMA) for name in _SIGMAS},
     )
 
 
 def intrinsics_from_dict(section: Mapping[str, Any]) -> Intrinsics:
     """Return lens and sensor alone; without `distortion` there is none. Raises FieldError."""
-    matrix = check_matrix(required(section, "camera_matrix"), "camera_matrix", (3, 3), MAX_METRES)
+    matrix = check_matrix(required(section, "camera_matrix"), "camera_matrix", (3, 3), LENGTH.high)
     upright = np.array_equal(matrix[2], [0.0, 0.0, 1.0]) and matrix[1, 0] == 0.0
     if not upright or matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
         form = "[fx, 0, cx; 0, fy, cy; 0, 0, 1]"
@@ -104,31 +104,35 @@ def _image_size(section: Mapping[str, Any]) -> tuple[int, int]:
     """Return width and height, pixels."""
     size = required(section, "image_size")
     if not isinstance(size, list | tuple) or len(size) != 2:
-        raise FieldError("image_size", f"is {size!r}; width and height are needed")
+        raise FieldError("image_size", f"is {quoted(size)}; width and height are needed")
     for side, key in zip(size, ("image_size width", "image_size height"), strict=True):
-        if check_number(side, key, 1, _MAX_SIDE_PIXELS) != round(side):
-            raise FieldError(key, f"is {side!r}; whole pixels are needed")
+        if check_number(side, key, _SIDE) != round(side):
+            raise FieldError(key, f"is {quoted(side)}; whole pixels are needed")
+    if size[0] * size[1] > MAX_IMAGE_PIXELS:
+        raise FieldError(
+            "image_size", f"is {size[0]:g}x{size[1]:g}, more than {MAX_IMAGE_PIXELS} pixels"
+        )
     return int(size[0]), int(size[1])
 
 
 def _mounting(section: Mapping[str, Any], unit: Unit) -> dict[str, float]:
     """Return height (m), pitch and roll (rad); nan for each that is not known."""
     value = required(section, "height_metres")
-    mounting = {"height_metres": _number_or_nan(value, "height_metres", _MIN_METRES)}
+    mounting = {"height_metres": _number_or_nan(value, "height_metres", LENGTH)}
     for name in _ANGLES:
         value = required(section, name)
-        mounting[name] = _number_or_nan(value, name, -math.pi, math.pi)
+        mounting[name] = _number_or_nan(value, name, _HALF_TURN)
     known = next((name for name, value in mounting.items() if not math.isnan(value)), None)
     if unit == "px" and known is not None:
         raise FieldError(known, "is given, but the unit px is for top-down frames, which have none")
     return mounting
 
 
-def _number_or_nan(value: Any, key: str, low: float, high: float = MAX_METRES) -> float:
-    """Return a number from `low` to `high`; nan for None and nan, which mean unknown."""
+def _number_or_nan(value: Any, key: str, limits: Bounds) -> float:
+    """Return a number within bounds; nan for None and nan, which mean unknown."""
     if value is None or (type(value) is float and math.isnan(value)):
         return math.nan
-    return check_number(value, key, low, high)
+    return check_number(value, key, limits)
 
 
 def _robot_from_image(
@@ -143,7 +147,7 @@ def _robot_from_image(
         if composed is None:
             raise FieldError(str(unknown), "is not known, and there is no robot_from_image")
         return composed
-    given = check_matrix(section["robot_from_image"], "robot_from_image", (3, 3), MAX_METRES)
+    given = check_matrix(section["robot_from_image"], "robot_from_image", (3, 3), LENGTH.high)
     if not abs(np.linalg.det(given)) > 0.0:
         raise FieldError("robot_from_image", "is singular: it cannot be inverted")
     if composed is not None:

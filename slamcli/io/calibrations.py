@@ -11,6 +11,7 @@ import numpy as np
 import yaml
 
 from slamcli.core.arrays import Float64Array
+from slamcli.core.bounds import quoted
 from slamcli.core.camera.calibration import Calibration, Intrinsics
 from slamcli.core.errors import CalibrationError, InputError
 from slamcli.io import calibration_codec
@@ -18,6 +19,16 @@ from slamcli.io.checks import FieldError, check_array, required
 from slamcli.io.files import read_text, write_text
 
 FORMAT_VERSION = 1
+# PyYAML's own, and those of Python that its constructors let through, for tags and nesting.
+_YAML_ERRORS = (
+    yaml.YAMLError,
+    ValueError,
+    LookupError,
+    AttributeError,
+    TypeError,
+    ArithmeticError,
+    RecursionError,
+)
 # ROS drivers write the fisheye model under either name.
 _MODEL_SYNONYMS = {"fisheye": "equidistant", "kannala_brandt": "equidistant"}
 # What the fields of the codec are called in the file, where it is not the same.
@@ -228,7 +239,7 @@ def _read_document(path: Path, what: str) -> dict[str, Any]:
         document = yaml.safe_load(read_text(path, what))
     except InputError as error:
         raise CalibrationError(str(error)) from error
-    except (yaml.YAMLError, ValueError) as error:
+    except _YAML_ERRORS as error:
         mark = getattr(error, "problem_mark", None)
         where = f" (line {mark.line + 1})" if mark is not None else ""
         raise CalibrationError(f"{path}: not a {what} file: it is not YAML{where}") from error
@@ -254,7 +265,9 @@ def _mounting_section(ground: dict[str, Any]) -> dict[str, float]:
     """Return a ground_plane section by the codec's names, angles in radians; raises FieldError."""
     version = ground.get("format_version", FORMAT_VERSION)
     if version != FORMAT_VERSION:
-        raise FieldError("format_version", f"is {version}; this slamcli reads {FORMAT_VERSION}")
+        raise FieldError(
+            "format_version", f"is {quoted(version)}; this slamcli reads {FORMAT_VERSION}"
+        )
     return {
         "height_metres": _number(ground, "height_metres"),
         "pitch_radians": math.radians(_number(ground, "pitch_degrees")),
@@ -271,7 +284,7 @@ def _number(section: dict[str, Any], key: str, default: float | None = None) -> 
     """Return a number of a section; without a default it must be there. Raises FieldError."""
     value = required(section, key) if default is None else section.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise FieldError(key, f"is {value!r}, not a number")
+        raise FieldError(key, f"is {quoted(value)}, not a number")
     try:
         return float(value)
     except OverflowError as error:

@@ -8,7 +8,11 @@ from typing import Any
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
+from slamcli.core.bounds import Bounds, quoted
 from slamcli.core.errors import SlamcliError
+
+# Of an array in a text file: the points of a calibration board, with room.
+_MAX_ELEMENTS = 10_000
 
 
 class FieldError(SlamcliError):
@@ -33,31 +37,42 @@ def required(section: Mapping[str, Any], key: str) -> Any:
     return section[key]
 
 
-def check_number(value: Any, key: str, low: float, high: float) -> float:
-    """Return a number from `low` to `high`; raises FieldError for anything else, also nan."""
-    if type(value) not in {int, float} or not low <= value <= high:
-        raise FieldError(key, f"is {value!r}; a number from {low:g} to {high:g} is needed")
+def check_number(value: Any, key: str, limits: Bounds) -> float:
+    """Return a number within bounds; raises FieldError for anything else, also nan."""
+    if value not in limits:
+        raise FieldError(key, f"is {quoted(value)}; {limits} is needed")
     return float(value)
 
 
 def check_word(value: Any, key: str, words: tuple[Any, ...]) -> Any:
     """Return one of some words; raises FieldError for any other."""
     if value not in words:
-        raise FieldError(key, f"is {value!r}, not one of {', '.join(words)}")
+        raise FieldError(key, f"is {quoted(value)}, not one of {', '.join(words)}")
     return value
 
 
 def check_array(value: Any, key: str) -> Float64Array:
     """Return nested lists of finite numbers as a float64 array; raises FieldError."""
     try:
-        if isinstance(value, bool | str) or value is None:
+        if isinstance(value, bool | str) or value is None or not _is_small(value):
             raise TypeError
         numbers = np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise FieldError(key, f"is {value!r}; numbers are needed") from error
+        raise FieldError(key, f"is {quoted(value)}; numbers are needed") from error
     if numbers.size == 0 or not np.all(np.isfinite(numbers)):
         raise FieldError(key, "has a number that is not finite, or none at all")
     return numbers
+
+
+def _is_small(value: Any) -> bool:
+    """Return whether nested lists have few elements; the aliases of YAML can stand for billions."""
+    left, open_lists = _MAX_ELEMENTS, [value]
+    while open_lists and left > 0:
+        items = open_lists.pop()
+        if isinstance(items, list | tuple):
+            left -= len(items)
+            open_lists += items[:_MAX_ELEMENTS]
+    return left > 0
 
 
 def check_matrix(value: Any, key: str, shape: tuple[int, int], limit: float) -> Float64Array:

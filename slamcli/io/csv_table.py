@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
+from slamcli.core.bounds import ANGLE, Bounds, quoted
 from slamcli.core.errors import InputError
 
 # Endings of the name of a column of angles in degrees.
@@ -57,8 +58,10 @@ class Table:
             f"{self.path} has no column {names[0]}; its header is {', '.join(self.header)}"
         )
 
-    def numbers(self, names: tuple[str, ...], *, blank: bool = False) -> Float64Array:
-        """Return a column as (N,) float64; an empty field is nan where `blank` allows it.
+    def numbers(
+        self, names: tuple[str, ...], limits: Bounds, *, blank: bool = False
+    ) -> Float64Array:
+        """Return a column within bounds as (N,) float64; an empty field is nan if `blank` allows.
 
         Raises
         ------
@@ -72,20 +75,23 @@ class Table:
             try:
                 values[index] = float(word)
             except ValueError:
-                values[index] = math.inf
-            if not math.isfinite(values[index]):
+                values[index] = math.nan
+            if float(values[index]) not in limits:
                 raise InputError(
-                    f"{self.path}, line {self.lines[index]}: {names[0]} is {word!r}; "
-                    "a number is needed"
+                    f"{self.path}, line {self.lines[index]}: {names[0]} is {quoted(word)}; "
+                    f"{limits} is needed"
                 )
         return values
 
-    def angles(self, names: tuple[str, ...], *, blank: bool = False) -> Float64Array:
+    def angles(
+        self, names: tuple[str, ...], limits: Bounds = ANGLE, *, blank: bool = False
+    ) -> Float64Array:
         """Return a column of angles as (N,) float64 radians; `name`_degrees is converted."""
         degrees = tuple(name + ending for name in names for ending in _DEGREES)
         if not self.has(names) and self.has(degrees):
-            return np.radians(self.numbers(degrees, blank=blank))
-        return self.numbers(names, blank=blank)
+            limits = limits.scaled(math.degrees(1.0))
+            return np.radians(self.numbers(degrees, limits, blank=blank))
+        return self.numbers(names, limits, blank=blank)
 
     def has_angles(self, names: tuple[str, ...]) -> bool:
         """Return whether one of these names heads a column, in radians or degrees."""

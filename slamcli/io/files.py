@@ -20,6 +20,9 @@ STAGING_PREFIX = ".partial-"
 _MAX_SYNCED_SINGLY = 64
 _JPEG_QUALITY = 95
 
+# Of tables and settings: more than a week of readings at a hundred a second.
+_MAX_TEXT_BYTES = 512 * 2**20
+
 
 def write_bytes(path: Path, data: bytes, *, durable: bool = True) -> None:
     """Write a file completely or not at all; raises OutputError that names it."""
@@ -133,7 +136,16 @@ def sync_folder(folder: Path) -> None:
 def read_text(path: Path, what: str) -> str:
     """Return a text file's content; raises InputError that names it and says what it is."""
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        raise InputError(f"cannot read the {what} {path}: {reason}") from error
+        # A pipe or a device may have no end.
+        reason = "" if path.is_file() or not path.exists() else "it is not a regular file"
+        if not reason and path.stat().st_size > _MAX_TEXT_BYTES:
+            reason = f"it has more than {_MAX_TEXT_BYTES >> 20} MB"
+        if not reason:
+            return path.read_text(encoding="utf-8")
+    except OSError as error:
+        reason = error.strerror or str(error)
+    except UnicodeDecodeError:
+        reason = "it is not UTF-8 text"
+    except ValueError:
+        reason = "its name is not one of a file"
+    raise InputError(f"cannot read the {what} {path}: {reason}")

@@ -14,6 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
+from slamcli.core.bounds import (
+    LATITUDE_DEGREES,
+    LONGITUDE_DEGREES,
+    SIGMA_METRES,
+    SIGMA_RADIANS,
+    STAMP,
+)
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2
 from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
@@ -102,14 +109,14 @@ def read_compass(path: Path) -> list[CompassReading]:
         One line that names the file, and the line of it where there is one.
     """
     table = _read(path, "compass readings")
-    stamps = table.numbers(STAMPS)
+    stamps = table.numbers(STAMPS, STAMP)
     if table.has_angles(_BEARINGS) and not table.has_angles(HEADINGS):
         headings = math.pi / 2 - table.angles(_BEARINGS)
     else:
         headings = table.angles(HEADINGS)
     sigmas = np.full(len(table), _COMPASS_SIGMA_RADIANS)
     if table.has_angles(_COMPASS_SIGMAS):
-        sigmas = table.angles(_COMPASS_SIGMAS)
+        sigmas = table.angles(_COMPASS_SIGMAS, SIGMA_RADIANS)
     _refuse_backwards(path, stamps, table)
     readings = []
     for line, *row in zip(table.lines, stamps.tolist(), headings, sigmas, strict=True):
@@ -131,11 +138,12 @@ def read_gps(path: Path) -> list[GpsReading]:
         One line that names the file, and the line of it where there is one.
     """
     table = _read(path, "GPS readings")
-    stamps = table.numbers(STAMPS)
-    latitudes, longitudes = table.numbers(_LATITUDES), table.numbers(_LONGITUDES)
+    stamps = table.numbers(STAMPS, STAMP)
+    latitudes = table.numbers(_LATITUDES, LATITUDE_DEGREES)
+    longitudes = table.numbers(_LONGITUDES, LONGITUDE_DEGREES)
     sigmas = np.full(len(table), _GPS_SIGMA_METRES)
     if table.has(_GPS_SIGMAS):
-        sigmas = table.numbers(_GPS_SIGMAS)
+        sigmas = table.numbers(_GPS_SIGMAS, SIGMA_METRES)
     _refuse_backwards(path, stamps, table)
     readings = []
     columns = (latitudes, longitudes, sigmas)

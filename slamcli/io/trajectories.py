@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float64Array
+from slamcli.core.bounds import COORDINATE, SIGMA_METRES, STAMP, Bounds
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2
 from slamcli.core.trajectory import Trajectory
@@ -21,6 +22,9 @@ _NAMES = ("frame", "name", "file", "filename")
 _SIGMAS = (("sigma_x",), ("sigma_y",), ("sigma_heading", "sigma_theta", "sigma_yaw"))
 # A robot on a floor leans less than this; more means that z does not point up.
 _MAX_LEAN_DEGREES = 15.0
+_FRAGMENT = Bounds(-1, 2**31)
+# Of positions and of headings; a pose that is equal to another by definition has none.
+_SIGMA = Bounds(0.0, SIGMA_METRES.high)
 
 
 def read_trajectory(path: Path) -> Trajectory:
@@ -75,7 +79,8 @@ def _is_number(word: str) -> bool:
 
 
 def _from_table(table: Table) -> Trajectory:
-    x, y = table.numbers(_X, blank=True), table.numbers(_Y, blank=True)
+    x = table.numbers(_X, COORDINATE, blank=True)
+    y = table.numbers(_Y, COORDINATE, blank=True)
     heading = table.angles(HEADINGS, blank=True)
     placed = ~np.isnan(x)
     broken = placed & (np.isnan(y) | np.isnan(heading))
@@ -85,10 +90,10 @@ def _from_table(table: Table) -> Trajectory:
     theta = (heading[placed] + math.pi) % math.tau - math.pi
     fragments = np.zeros(len(table))
     if table.has(("fragment",)):
-        fragments = np.nan_to_num(table.numbers(("fragment",), blank=True))
+        fragments = np.nan_to_num(table.numbers(("fragment",), _FRAGMENT, blank=True))
     sigmas = None
     if all(table.has(names) for names in _SIGMAS):
-        columns = [table.numbers(names, blank=True)[placed] for names in _SIGMAS]
+        columns = [table.numbers(names, _SIGMA, blank=True)[placed] for names in _SIGMAS]
         sigmas = np.column_stack(columns)
     return Trajectory(
         np.column_stack([x[placed], y[placed], theta]),
@@ -103,7 +108,7 @@ def _from_table(table: Table) -> Trajectory:
 def _stamps(table: Table, placed: BoolArray) -> Float64Array | None:
     if not table.has(STAMPS):
         return None
-    stamps = table.numbers(STAMPS, blank=True)[placed]
+    stamps = table.numbers(STAMPS, STAMP, blank=True)[placed]
     return None if np.isnan(stamps).any() else stamps
 
 
@@ -123,9 +128,13 @@ def _parse_rows(path: Path, lines: list[tuple[int, str]], width: int) -> Float64
             raise InputError(f"{path}, line {number}: {width} numbers are needed")
         rows.append([float(word) for word in words])
     matrix = np.array(rows)
-    if not np.isfinite(matrix).all():
-        number = lines[int(np.argmin(np.isfinite(matrix).all(axis=1)))][0]
-        raise InputError(f"{path}, line {number}: a number is not finite")
+    limits = np.full(width, COORDINATE.high)
+    if width == _TUM_FIELDS:
+        limits[0] = STAMP.high
+    inside = (np.abs(matrix) <= limits).all(axis=1)
+    if not inside.all():
+        number = lines[int(np.argmin(inside))][0]
+        raise InputError(f"{path}, line {number}: a number is not finite, or beyond any floor")
     return matrix
 
 

@@ -7,6 +7,7 @@ import math
 import cv2
 
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import MAX_REGISTRATION_PIXELS, check_metres_per_pixel
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid
@@ -22,12 +23,19 @@ class Preprocessor:
     ----------
     calibration : Calibration
     options : MapperOptions
+
+    Raises
+    ------
+    CalibrationError, InputError
+        When the camera sees no floor, or not at this resolution.
     """
 
     def __init__(self, calibration: Calibration, options: MapperOptions) -> None:
         self.metres_per_pixel = options.metres_per_pixel or view.registration_metres_per_pixel(
             calibration
         )
+        if options.metres_per_pixel is not None:
+            check_metres_per_pixel(calibration, self.metres_per_pixel, MAX_REGISTRATION_PIXELS)
         self._calibration = calibration
         self._features = options.features
         self._tilt_radians = math.radians(options.tilt_sigma_degrees)

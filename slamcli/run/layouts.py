@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
+from slamcli.core.bounds import Bounds
 from slamcli.core.errors import InputError
 from slamcli.io.checks import FieldError, check_array, check_matrix, check_number, required
 from slamcli.io.files import read_text
@@ -51,7 +52,7 @@ def _layout(table: dict[str, Any]) -> CourseLayout:
 
 
 def _width(table: dict[str, Any], key: str) -> float:
-    return check_number(required(table, key), key, _MIN_METRES, _MAX_METRES)
+    return check_number(required(table, key), key, Bounds(_MIN_METRES, _MAX_METRES))
 
 
 def _rows(table: dict[str, Any], key: str, width: int) -> Float64Array:

@@ -50,9 +50,9 @@ def render(
     InputError, MapError, OutputError
     """
     started = time.monotonic()
-    outputs.check_formats(options)
     path = run_folder if run_folder.suffix == Path(MAP_NAME).suffix else _folder(run_folder)
     floor_map = load_map(path, for_locating=False)
+    outputs.check_products(options, floor_map.calibration)
     remedy = "give their folder with --frames"
     files = list_frames(map_sources(floor_map, path, remedy) if frames is None else [frames])
     estimates = [e for e in floor_map.estimates if e.map_from_robot is not None]

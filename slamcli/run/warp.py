@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from slamcli.core.camera.calibration import Calibration
-from slamcli.core.camera.footprint import default_metres_per_pixel
+from slamcli.core.camera.footprint import check_metres_per_pixel, default_metres_per_pixel
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.io.raster import world_file
 from slamcli.run.inputs import open_inputs
@@ -15,6 +15,9 @@ from slamcli.run.per_frame import Skipped, each_frame, frame_outputs
 from slamcli.run.session.session import Session
 from slamcli.stages import view
 from slamcli.stages.view import Resampler
+
+# Some gigabytes of memory.
+_MAX_VIEW_PIXELS = 2**28
 
 
 def warp(
@@ -36,6 +39,7 @@ def warp(
     """
     inputs = open_inputs(sources, calibration_path, max_range_metres=max_range_metres)
     scale = metres_per_pixel or default_metres_per_pixel(inputs.calibration)
+    check_metres_per_pixel(inputs.calibration, scale, _MAX_VIEW_PIXELS)
     resampler = view.make_view_resampler(inputs.calibration, scale)
     grid = resampler.grid
     suffixes = (".png", ".pgw")

@@ -4,43 +4,22 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import MISSING, fields, is_dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import click
 import pytest
 from click.testing import CliRunner
+from spied_commands import ARGUMENTS, LOADED, calls, flag_of
 
 from slamcli.cli.main import COMMANDS, SlamGroup, main
 from slamcli.cli.options.fields import destination, filled, option
 from slamcli.core.config import MapperOptions, ProductOptions
 
-LOADED = {
-    name: command
-    for name in COMMANDS
-    if (command := main.get_command(click.Context(main), name)) is not None
-}
-# What the commands are called with besides the option; files need only exist.
-ARGUMENTS = {
-    "stitch": ["frames"],
-    "locate": ["frames", "frames"],
-    "render": ["frames"],
-    "warp": ["frames"],
-    "detect": ["frames"],
-    "match": ["frames/a.png", "frames/b.png"],
-    "evaluate": ["frames/a.png", "frames/b.png"],
-    "calibrate": ["frames/a.png"],
-    "simulate": ["out"],
-}
+__all__ = ["calls"]  # a fixture
 # Every command opens a session of its own: threads, a progress bar, what Ctrl-C sets.
 OF_THE_SESSION = {"workers", "progress", "notify", "interruption"}
 # These are of the refinement of a calibration alone, which --refine with a folder calls.
 REFINING = {("calibrate", "--calibration"), ("calibrate", "--workers")}
-WORK = [
-    *[(f"slamcli.run.{name}", name) for name in COMMANDS],
-    ("slamcli.run.stitch.dry_run", "forecast"),
-    ("slamcli.run.calibrate.self_calibration", "calibrate_by_frames"),
-]
 TEXTS = {
     "--format": "geotiff",
     "--layers": "views",
@@ -58,40 +37,6 @@ TEXTS = {
     "--first-level": "1",
     "--rotate": "30",
 }
-
-
-class Report(list[str]):
-    """What any function of `slamcli.run` may return."""
-
-    def __init__(self) -> None:
-        super().__init__(["a line"])
-        self.lines, self.json, self.exit_code = ["a line"], "{}", 0
-
-
-@pytest.fixture
-def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, list[Any]]]:
-    """The calls of functions of `slamcli.run`, which do nothing; functions given are left out."""
-    found: list[tuple[str, list[Any]]] = []
-
-    def spy(name: str) -> Any:
-        def work(*given: Any, **named: Any) -> Report:
-            values = [*given, *(named[key] for key in sorted(named))]
-            found.append((name, [value for value in values if not callable(value)]))
-            return Report()
-
-        return work
-
-    for module, name in WORK:
-        monkeypatch.setattr(importlib.import_module(module), name, spy(name))
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "frames").mkdir()
-    for file in "abc":
-        (tmp_path / "frames" / f"{file}.png").write_bytes(b"")
-    return found
-
-
-def flag_of(parameter: click.Option) -> str:
-    return max(parameter.opts, key=len)
 
 
 def other_value(parameter: click.Option) -> list[str]:
@@ -237,9 +182,9 @@ def test_a_list_of_numbers_or_words_is_read(name: str, text: str, value: Any) ->
 @pytest.mark.parametrize(
     ("name", "text", "form"),
     [
-        ("--size", "640x32", "WxH, 64 or more each"),
+        ("--size", "640x32", "WxH, each a whole number from 64 to 8192"),
         ("--size", "640.5x480", "WxH"),
-        ("--chessboard", "8x2", "8x6, 3 or more each"),
+        ("--chessboard", "8x2", "8x6, each a whole number from 3"),
         ("--corners", "1,2 3,4 5,6", "x,y x,y x,y x,y"),
         ("--corners", "1,2 3,4 5,6 7,nan", "x,y x,y x,y x,y"),
         ("--crop", "auto", "x_min,y_min,x_max,y_max"),

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slamcli.cli.options.fields import Decorator, option
-from slamcli.cli.options.values import AT_LEAST_ONE, PATH, POSITIVE
+from slamcli.cli.options.values import PATH, POSITIVE, Number, Whole
+from slamcli.core.bounds import METRES_PER_PIXEL, SEED, WORKERS
 from slamcli.core.config import PaintOptions
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ metres_per_pixel = option(
     PaintOptions(),
     "metres_per_pixel",
     "--metres-per-pixel",
-    POSITIVE,
+    Number(METRES_PER_PIXEL),
     "Resolution of the result (ground sampling distance, GSD). Default: chosen from the camera's "
     "own sampling of the floor.",
 )
@@ -50,7 +51,7 @@ strict = click.option("--strict", is_flag=True, help="Exit 3 when any frame is l
 
 workers = click.option(
     "--workers",
-    type=AT_LEAST_ONE,
+    type=Whole(WORKERS),
     help="Worker threads; the result is the same for any number. Default: one per processor.",
 )
 
@@ -73,7 +74,7 @@ def output(text: str, default: str | None = None) -> Decorator[Any]:
 
 def seed(group: MatchOptions | SimulationOptions) -> Decorator[Any]:
     """Return the --seed option of a dataclass."""
-    return option(group, "seed", "--seed", click.IntRange(min=0), "Seed of all random numbers.")
+    return option(group, "seed", "--seed", Whole(SEED), "Seed of all random numbers.")
 
 
 def default_output(source: Path, suffix: str) -> Path:

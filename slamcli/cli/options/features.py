@@ -8,7 +8,8 @@ from typing import Any
 import click
 
 from slamcli.cli.options.fields import Decorator, option, stacked
-from slamcli.cli.options.values import AT_LEAST_ONE, PATH, POSITIVE, Numbers
+from slamcli.cli.options.values import PATH, Number, Numbers, Whole
+from slamcli.core.bounds import FEATURES, Bounds
 from slamcli.core.config import FeatureOptions, NetworkFiles
 
 _feature = partial(option, FeatureOptions())
@@ -16,7 +17,7 @@ _network = partial(option, NetworkFiles())
 
 METHODS = ("orb", "sift", "aliked", "disk")
 
-SIZE = Numbers("WxH", 2, separator="x", min_whole=64)
+SIZE = Numbers("WxH", 2, separator="x", limits=Bounds(64, 8192, whole=True))
 
 
 def feature_kind(group: FeatureOptions) -> Decorator[Any]:
@@ -29,7 +30,9 @@ def feature_kind(group: FeatureOptions) -> Decorator[Any]:
             click.Choice(METHODS),
             "Detector and descriptor of feature points.",
         ),
-        option(group, "count", "--count", AT_LEAST_ONE, "Most feature points in a frame."),
+        option(
+            group, "count", "--count", Whole(FEATURES["count"]), "Most feature points in a frame."
+        ),
     )
 
 
@@ -62,13 +65,13 @@ feature_details = stacked(
     _feature(
         "clean_kernel_pixels",
         "--clean-kernel",
-        AT_LEAST_ONE,
+        Whole(FEATURES["clean_kernel_pixels"]),
         "--clean: side of the low-pass's box, in pixels.",
     ),
     _feature(
         "clean_threshold",
         "--clean-threshold",
-        click.IntRange(0, 255),
+        Whole(FEATURES["clean_threshold"]),
         "--clean: gray level up to which a pixel turns black.",
     ),
     _feature(
@@ -79,48 +82,56 @@ feature_details = stacked(
     _feature(
         "roi_border_pixels",
         "--roi-border",
-        click.IntRange(min=0),
+        Whole(FEATURES["roi_border_pixels"]),
         "--roi: width of that border, in pixels of the point's pyramid level.",
     ),
-    _feature("levels", "--levels", click.IntRange(1, 32), "ORB: number of pyramid levels."),
+    _feature("levels", "--levels", Whole(FEATURES["levels"]), "ORB: number of pyramid levels."),
     _feature(
         "scale_factor",
         "--scale-factor",
-        click.FloatRange(1.01, 4.0),
+        Number(FEATURES["scale_factor"]),
         "ORB: scale from one pyramid level to the next.",
     ),
     _feature(
         "first_level",
         "--first-level",
-        click.IntRange(0, 31),
+        Whole(FEATURES["first_level"]),
         "ORB: the pyramid level that is the picture itself; levels below it are enlarged.",
     ),
     _feature(
         "edge_threshold",
         "--edge-threshold",
-        AT_LEAST_ONE,
+        Whole(FEATURES["edge_threshold"]),
         "ORB: pixels left out at each level's border.",
     ),
     _feature(
         "patch_size",
         "--patch-size",
-        click.IntRange(min=5),
+        Whole(FEATURES["patch_size"]),
         "ORB: side in pixels of the patch that a descriptor covers.",
     ),
     _feature(
         "wta_k",
         "--wta-k",
-        click.IntRange(2, 4),
+        Whole(FEATURES["wta_k"]),
         "ORB: points compared for each element of a descriptor.",
     ),
     _feature(
-        "fast_threshold", "--fast-threshold", click.IntRange(1, 255), "ORB: contrast of a corner."
+        "fast_threshold",
+        "--fast-threshold",
+        Whole(FEATURES["fast_threshold"]),
+        "ORB: contrast of a corner.",
     ),
     _feature(
         "min_fast_threshold",
         "--min-fast-threshold",
-        click.IntRange(1, 255),
+        Whole(FEATURES["min_fast_threshold"]),
         "ORB: contrast of a corner where --fast-threshold finds too few.",
     ),
-    _feature("contrast_threshold", "--contrast-threshold", POSITIVE, "SIFT: contrast of a point."),
+    _feature(
+        "contrast_threshold",
+        "--contrast-threshold",
+        Number(FEATURES["contrast_threshold"]),
+        "SIFT: contrast of a point.",
+    ),
 )

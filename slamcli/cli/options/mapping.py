@@ -4,29 +4,28 @@ from __future__ import annotations
 
 from functools import partial
 
-import click
-
 from slamcli.cli.options.features import feature_kind
 from slamcli.cli.options.fields import option, stacked
-from slamcli.cli.options.values import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, SHARE
+from slamcli.cli.options.values import POSITIVE, SHARE, Number, Whole
+from slamcli.core.bounds import HALF_TURN_DEGREES, METRES_PER_PIXEL, TILT_DEGREES, Bounds
 from slamcli.core.config import MapperOptions
 
 _mapper = partial(option, MapperOptions())
-_HALF_TURN = click.FloatRange(0, 180)
+_HALF_TURN = Number(HALF_TURN_DEGREES)
 
 mapper_options = stacked(
     feature_kind(MapperOptions().features),
     _mapper(
         "metres_per_pixel",
         "--view-metres-per-pixel",
-        POSITIVE,
+        Number(METRES_PER_PIXEL),
         "Resolution of the bird's-eye views that are matched. Default: chosen from the camera's "
         "sampling of the floor.",
     ),
     _mapper(
         "recent_keyframes",
         "--recent-keyframes",
-        AT_LEAST_ONE,
+        Whole(Bounds(1, 10_000, whole=True)),
         "Number of latest keyframes that a frame is compared with.",
     ),
     _mapper(
@@ -50,13 +49,13 @@ mapper_options = stacked(
     _mapper(
         "min_score",
         "--min-score",
-        click.FloatRange(-1, 1),
+        Number(Bounds(-1, 1)),
         "Smallest correlation of the overlap's pixels for a fit to be accepted.",
     ),
     _mapper(
         "tilt_sigma_degrees",
         "--tilt-sigma",
-        NOT_NEGATIVE,
+        Number(TILT_DEGREES),
         "Degrees by which the camera's pitch varies from frame to frame (one standard deviation).",
     ),
     _mapper(

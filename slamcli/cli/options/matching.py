@@ -9,7 +9,8 @@ import click
 
 from slamcli.cli.options.common import seed
 from slamcli.cli.options.fields import Decorator, option, stacked
-from slamcli.cli.options.values import AT_LEAST_ONE, PATH, POSITIVE
+from slamcli.cli.options.values import AT_LEAST_ONE, PATH, POSITIVE, Number, Whole
+from slamcli.core.bounds import FACTOR, MAX_POINTS, SHARE_ABOVE_ZERO, Bounds
 from slamcli.core.config import MatchOptions, NetworkFiles
 
 _match = partial(option, MatchOptions())
@@ -20,7 +21,7 @@ RATIO_TEXT = "Largest ratio of the best to the second-best distance (Lowe's rati
 
 def ratio(group: MatchOptions | str, text: str = RATIO_TEXT) -> Decorator[Any]:
     """Return the --ratio option of a dataclass, or of the class of that name."""
-    return option(group, "ratio", "--ratio", click.FloatRange(0, 1, min_open=True), text)
+    return option(group, "ratio", "--ratio", Number(SHARE_ABOVE_ZERO), text)
 
 
 _pairing = stacked(
@@ -48,7 +49,7 @@ _fitting = stacked(
     _match(
         "max_size_ratio",
         "--max-size-ratio",
-        click.FloatRange(min=1),
+        Number(FACTOR),
         "Rigid fits: largest ratio of the sizes of two points that match.",
     ),
     _match(
@@ -67,11 +68,16 @@ _fitting = stacked(
     _match(
         "confidence",
         "--confidence",
-        click.FloatRange(0, 1, min_open=True, max_open=True),
+        Number(Bounds(0, 1, open_low=True, open_high=True)),
         "RANSAC: stop at this probability of having drawn a sample without outliers.",
     ),
     _match("max_iterations", "--max-iterations", AT_LEAST_ONE, "RANSAC: most samples drawn."),
-    _match("min_inliers", "--min-inliers", click.IntRange(min=2), "Fewest inliers of a fit."),
+    _match(
+        "min_inliers",
+        "--min-inliers",
+        Whole(Bounds(2, MAX_POINTS, whole=True)),
+        "Fewest inliers of a fit.",
+    ),
     seed(MatchOptions()),
 )
 

@@ -10,7 +10,8 @@ import click
 
 from slamcli.cli.options.common import metres_per_pixel
 from slamcli.cli.options.fields import option, stacked
-from slamcli.cli.options.values import POSITIVE, Bytes, Degrees, Numbers, Words
+from slamcli.cli.options.values import Bytes, Degrees, Number, Numbers, Words
+from slamcli.core.bounds import LATITUDE_DEGREES, LONGITUDE_DEGREES, METRES_PER_PIXEL
 from slamcli.core.config import Datum, ProductOptions
 
 _product = partial(option, ProductOptions())
@@ -19,7 +20,14 @@ _paint = partial(option, ProductOptions().paint)
 
 def _datum(_context: Any, _option: Any, value: tuple[float, ...] | None) -> Datum | None:
     """Return the datum of latitude, longitude and, where it is given, heading in degrees."""
-    return Datum(*value[:2], *map(math.radians, value[2:])) if value else None
+    if not value:
+        return None
+    latitude, longitude, *heading = value
+    if latitude not in LATITUDE_DEGREES or longitude not in LONGITUDE_DEGREES:
+        raise click.BadParameter(
+            f"latitude {latitude:g}, longitude {longitude:g} is no place on Earth"
+        )
+    return Datum(latitude, longitude, *map(math.radians, heading))
 
 
 product_options = stacked(
@@ -57,7 +65,7 @@ product_options = stacked(
     _product(
         "nav_metres_per_pixel",
         "--nav-resolution",
-        POSITIVE,
+        Number(METRES_PER_PIXEL),
         "Nav2: metres per pixel of the occupancy grid, at most; never finer than the map.",
     ),
     _product(

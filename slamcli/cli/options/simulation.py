@@ -9,7 +9,16 @@ import click
 from slamcli.cli.options.common import seed
 from slamcli.cli.options.features import SIZE
 from slamcli.cli.options.fields import option, stacked
-from slamcli.cli.options.values import AT_LEAST_ONE, NOT_NEGATIVE, PATH, POSITIVE, SHARE
+from slamcli.cli.options.values import (
+    AT_LEAST_ONE,
+    NOT_NEGATIVE,
+    PATH,
+    POSITIVE,
+    SHARE,
+    Number,
+    Whole,
+)
+from slamcli.core.bounds import HERTZ, TILT_DEGREES, Bounds
 from slamcli.simulation.config import SimulationOptions
 
 _drive = partial(option, SimulationOptions())
@@ -17,7 +26,7 @@ _camera = partial(option, SimulationOptions().camera)
 _surface = partial(option, SimulationOptions().surface)
 _imaging = partial(option, SimulationOptions().imaging)
 _disturbance = partial(option, SimulationOptions().disturbances)
-_NUMBER = click.IntRange(min=0)
+_NUMBER = Whole(Bounds(0, 10_000, whole=True))
 
 floor_options = stacked(
     _drive(
@@ -41,10 +50,12 @@ floor_options = stacked(
     _surface(
         "tile_metres",
         "--tile",
-        click.FloatRange(min=0.01),
+        Number(Bounds(0.01, 1e3)),
         "Metres: side of a tile (tiles, carpet-tiles), joint to joint; of 20 squares of paper.",
     ),
-    _surface("grout_metres", "--grout", NOT_NEGATIVE, "Metres: width of the tiles' grout."),
+    _surface(
+        "grout_metres", "--grout", Number(Bounds(0, 10)), "Metres: width of the tiles' grout."
+    ),
     _surface("marks", "--marks", _NUMBER, "Number of spots on every tile, each at its own place."),
     click.option(
         "--layout",
@@ -68,7 +79,7 @@ path_options = stacked(
     ),
     _drive("length_metres", "--length", POSITIVE, "Metres: length of the path."),
     _drive("frames", "--frames", AT_LEAST_ONE, "Number of frames."),
-    _drive("frame_rate_hertz", "--frame-rate", POSITIVE, "Frames per second."),
+    _drive("frame_rate_hertz", "--frame-rate", Number(HERTZ), "Frames per second."),
     _drive("lane_metres", "--lane", POSITIVE, "Metres: distance between a lawnmower's lanes."),
 )
 
@@ -78,23 +89,23 @@ camera_options = stacked(
     _camera(
         "pitch_degrees",
         "--pitch",
-        click.FloatRange(1, 90),
+        Number(Bounds(1, 90)),
         "Degrees: the camera's pitch below the horizontal.",
     ),
     _camera(
         "roll_degrees",
         "--roll",
-        click.FloatRange(-45, 45),
+        Number(Bounds(-45, 45)),
         "Degrees: the camera's roll, right side down.",
     ),
     _camera(
         "field_of_view_degrees",
         "--field-of-view",
-        click.FloatRange(5, 150),
+        Number(Bounds(5, 150)),
         "Degrees: field of view across the picture's width.",
     ),
-    _camera("k1", "--k1", text="Radial distortion of the lens, r^2."),
-    _camera("k2", "--k2", text="Radial distortion of the lens, r^4."),
+    _camera("k1", "--k1", Number(Bounds(-10, 10)), "Radial distortion of the lens, r^2."),
+    _camera("k2", "--k2", Number(Bounds(-10, 10)), "Radial distortion of the lens, r^4."),
 )
 
 imaging_options = stacked(
@@ -108,14 +119,14 @@ imaging_options = stacked(
     _imaging(
         "lens_blur_pixels",
         "--lens-blur",
-        NOT_NEGATIVE,
+        Number(Bounds(0, 100)),
         "Pixels: standard deviation of the lens's point spread.",
     ),
     _imaging("bayer", "--bayer/--no-bayer", text="One colour a pixel, and demosaicing."),
     _imaging(
         "sharpening",
         "--sharpening",
-        NOT_NEGATIVE,
+        Number(Bounds(0, 100)),
         "Share of an unsharp mask that the camera adds, with its halo.",
     ),
     _imaging(
@@ -142,7 +153,7 @@ disturbance_options = stacked(
     _disturbance(
         "noise_gray",
         "--noise",
-        NOT_NEGATIVE,
+        Number(Bounds(0, 255)),
         "Gray levels: standard deviation of a mid-gray pixel's noise.",
     ),
     _disturbance(
@@ -152,7 +163,7 @@ disturbance_options = stacked(
         "Share of the time between two frames that the shutter is open for.",
     ),
     _disturbance(
-        "flicker", "--flicker", click.FloatRange(0, 0.95), "Largest change of exposure, as a share."
+        "flicker", "--flicker", Number(Bounds(0, 0.95)), "Largest change of exposure, as a share."
     ),
     _disturbance(
         "vignetting", "--vignetting", SHARE, "Share of the brightness lost in the corners."
@@ -160,13 +171,13 @@ disturbance_options = stacked(
     _disturbance(
         "rocking_degrees",
         "--rocking",
-        NOT_NEGATIVE,
+        Number(TILT_DEGREES),
         "Degrees: standard deviation of pitch and roll from frame to frame.",
     ),
     _disturbance(
         "bounce_metres",
         "--bounce",
-        NOT_NEGATIVE,
+        Number(Bounds(0, 10)),
         "Metres: standard deviation of the camera's height from frame to frame.",
     ),
     _disturbance(
@@ -190,7 +201,7 @@ output_options = stacked(
     _drive(
         "jpeg_quality",
         "--jpeg-quality",
-        click.IntRange(1, 100),
+        Whole(Bounds(1, 100, whole=True)),
         "Quality of the frames' JPEG files.",
     ),
 )

@@ -7,12 +7,13 @@ from functools import partial
 import click
 
 from slamcli.cli.options.fields import option, stacked
-from slamcli.cli.options.values import PATH, POSITIVE, Numbers
+from slamcli.cli.options.values import PATH, Number, Numbers
+from slamcli.core.bounds import STAMP, Bounds
 from slamcli.core.telemetry import TelemetryOptions
 
 _file = partial(option, "TelemetryFiles")
 _TELEMETRY = TelemetryOptions()
-_SECONDS = Numbers("SECONDS|auto", 1, auto=True)
+_SECONDS = Numbers("SECONDS|auto", 1, limits=STAMP, auto=True)
 
 telemetry_options = stacked(
     _file(
@@ -52,7 +53,7 @@ telemetry_options = stacked(
         _TELEMETRY,
         "odometry_distance_share",
         "--odometry-sigma",
-        POSITIVE,
+        Number(Bounds(1e-6, 1e3)),
         "Standard deviation of odometry's distances, as a share of them.",
     ),
 )

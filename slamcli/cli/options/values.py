@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamcli.core import bounds
+from slamcli.core.bounds import Bounds, quoted
+
 if TYPE_CHECKING:
     ParamType = click.ParamType[Any]
 else:  # click 8.1's takes no parameter
@@ -16,13 +19,65 @@ else:  # click 8.1's takes no parameter
 
 PATH = click.Path(path_type=Path)
 
-NOT_NEGATIVE = click.FloatRange(min=0)
+# More than any machine has; a petabyte.
+_MAX_BYTES = 10**15
 
-POSITIVE = click.FloatRange(min=0, min_open=True)
 
-SHARE = click.FloatRange(0, 1)
+class Number(click.FloatRange):
+    """A finite number within bounds; click's own range takes nan."""
 
-AT_LEAST_ONE = click.IntRange(min=1)
+    def __init__(self, limits: Bounds) -> None:
+        super().__init__(limits.low, limits.high, limits.open_low, limits.open_high)
+        self.limits = limits
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """Return the number; a usage error shows the bounds."""
+        try:
+            number = float(value)
+        except (ValueError, OverflowError):
+            self.fail(f"{quoted(value)} is not a number", param, ctx)
+        if number not in self.limits:
+            self.fail(f"{quoted(value)} is not {self.limits}", param, ctx)
+        return number
+
+    def _describe_range(self) -> str:
+        return described(self.limits)
+
+
+class Whole(click.IntRange):
+    """A whole number within bounds."""
+
+    def __init__(self, limits: Bounds) -> None:
+        super().__init__(int(limits.low), int(limits.high))
+        self.limits = limits
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> int:
+        """Return the number; a usage error shows the bounds."""
+        try:
+            number = int(value)
+        except (ValueError, OverflowError):
+            self.fail(f"{quoted(value)} is not {self.limits}", param, ctx)
+        if number not in self.limits:
+            self.fail(f"{quoted(value)} is not {self.limits}", param, ctx)
+        return number
+
+    def _describe_range(self) -> str:
+        return described(self.limits)
+
+
+def described(limits: Bounds) -> str:
+    """Return bounds as the help of an option shows them."""
+    low, high = "<" if limits.open_low else "<=", "<" if limits.open_high else "<="
+    return f"{limits.low:g}{low}x{high}{limits.high:g}"
+
+
+NOT_NEGATIVE = Number(bounds.LENGTH_OR_ZERO)
+
+POSITIVE = Number(bounds.LENGTH)
+
+SHARE = Number(bounds.SHARE)
+
+AT_LEAST_ONE = Whole(bounds.COUNT)
 
 
 class Value(ParamType):
@@ -47,8 +102,8 @@ class Numbers(Value):
     separator : str
     groups : int
         Separated by white space.
-    min_whole : int or None
-        Only whole numbers, of at least this value; None: any finite number.
+    limits : Bounds
+        Of each number.
     auto : bool
         Accept the word auto.
     """
@@ -59,11 +114,11 @@ class Numbers(Value):
         *counts: int,
         separator: str = ",",
         groups: int = 1,
-        min_whole: int | None = None,
+        limits: Bounds = bounds.COORDINATE,
         auto: bool = False,
     ) -> None:
         self.name, self.counts, self.separator, self.groups = name, counts, separator, groups
-        self.min_whole, self.auto = min_whole, auto
+        self.limits, self.auto = limits, auto
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         """Return the numbers; a usage error shows the form wanted."""
@@ -77,18 +132,16 @@ class Numbers(Value):
         except ValueError:
             groups = ()
         if len(groups) != self.groups:
-            at_least = "" if self.min_whole is None else f", {self.min_whole} or more each"
-            self.fail(f"{value!r} is not of the form {self.name}{at_least}", param, ctx)
+            self.fail(
+                f"{quoted(value)} is not of the form {self.name}, each {self.limits}", param, ctx
+            )
         return groups if self.groups > 1 else groups[0]
 
     def _group(self, text: str) -> tuple[float, ...]:
         """Return the numbers of one group; raises ValueError."""
-        whole = self.min_whole is not None
-        numbers = tuple(int(part) if whole else float(part) for part in text.split(self.separator))
-        low = -math.inf if self.min_whole is None else self.min_whole
-        if len(numbers) not in self.counts or not all(
-            math.isfinite(number) and number >= low for number in numbers
-        ):
+        kind = int if self.limits.whole else float
+        numbers = tuple(kind(part) for part in text.split(self.separator))
+        if len(numbers) not in self.counts or any(n not in self.limits for n in numbers):
             raise ValueError(text)
         return numbers
 
@@ -126,11 +179,12 @@ class Bytes(Value):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> int:
         """Return the bytes; a usage error shows the form wanted."""
-        parts = re.fullmatch(r"(\d+(?:\.\d+)?)([kMGT]?)B?", str(value))
-        if parts is None or float(parts[1]) <= 0:
-            self.fail(f"{value!r} is no amount such as 500M or 2G", param, ctx)
-        factor: int = 1000 ** " kMGT".index(parts[2] or " ")
-        return round(float(parts[1]) * factor)
+        parts = re.fullmatch(r"(\d{1,15}(?:\.\d{1,15})?)([kMGT]?)B?", str(value), re.ASCII)
+        factor: int = 0 if parts is None else 1000 ** " kMGT".index(parts[2] or " ")
+        count = 0 if parts is None else round(float(parts[1]) * factor)
+        if not 0 < count <= _MAX_BYTES:
+            self.fail(f"{quoted(value)} is no amount such as 500M or 2G", param, ctx)
+        return count
 
     def text(self, value: int) -> str:
         """Return the bytes in gigabytes."""
@@ -138,13 +192,14 @@ class Bytes(Value):
 
 
 class Degrees(Value):
-    """An angle, given in degrees; the value is in radians."""
+    """An angle within some turns, given in degrees; the value is in radians."""
 
     name = "float"
+    limits = Bounds(-3600.0, 3600.0)
 
     def convert(self, value: Any, param: Any, ctx: Any) -> float:
         """Return radians."""
-        return math.radians(click.FLOAT.convert(value, param, ctx))
+        return math.radians(Number(self.limits).convert(value, param, ctx))
 
     def text(self, value: float) -> str:
         """Return radians as degrees."""

@@ -6,19 +6,23 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import CACHED_CALIBRATIONS, Calibration
 from slamcli.core.camera.lens import undistort_points
 from slamcli.core.camera.projection import project_floor
 from slamcli.core.camera.resolution import floor_sampling, resolution_image
-from slamcli.core.errors import CalibrationError
+from slamcli.core.errors import CalibrationError, InputError
 from slamcli.core.geometry import Grid, apply_homography, invert
 
 # Beyond this multiple of the sampling at the near edge a pixel covers too much floor: a patch no
 # longer looks like itself from one step nearer [guarded by benchmarks/accuracy.py].
 FAR_TO_NEAR_SAMPLING_RATIO = 12.0
+# The narrower side of a view has at least as many, unless the picture itself has fewer.
+_MIN_VIEW_PIXELS = 8
+# Of a view that is registered: more takes gigabytes and minutes, and is no better.
+MAX_REGISTRATION_PIXELS = 2**24
 _ROUND_STEPS = (1.0, 2.0, 5.0, 10.0)
 
 
@@ -61,7 +65,12 @@ def footprint_hull(calibration: Calibration) -> Float64Array:
     far = calibration.max_range_metres * np.column_stack([np.cos(bearings), np.sin(bearings)])
     _, seen = project_floor(calibration, far * (1.0 - 1e-9))
     points = np.vstack([floor, far[seen]])
-    hull = points[ConvexHull(points).vertices]
+    try:
+        hull = points[ConvexHull(points).vertices]
+    except QhullError as error:
+        raise CalibrationError(
+            "the floor that the calibration sees has no area; calibrate again"
+        ) from error
     hull.setflags(write=False)
     return hull
 
@@ -69,6 +78,29 @@ def footprint_hull(calibration: Calibration) -> Float64Array:
 def footprint(calibration: Calibration, metres_per_pixel: float) -> Grid:
     """Return the smallest grid in the robot frame that covers the usable floor."""
     return Grid.covering(footprint_hull(calibration), metres_per_pixel)
+
+
+def check_metres_per_pixel(
+    calibration: Calibration, metres_per_pixel: float, max_pixels: int
+) -> None:
+    """Refuse a resolution at which one view would have next to no pixels, or far too many.
+
+    Raises
+    ------
+    InputError
+        With the resolutions that serve.
+    """
+    width, height = np.ptp(footprint_hull(calibration), axis=0)
+    coarsest = max(
+        default_metres_per_pixel(calibration), float(min(width, height)) / _MIN_VIEW_PIXELS
+    )
+    finest = math.sqrt(float(width) * float(height) / max_pixels)
+    if not finest <= metres_per_pixel <= coarsest:
+        unit = calibration.unit
+        raise InputError(
+            f"a view of {width:.3g} x {height:.3g} {unit} cannot be made with pixels of "
+            f"{metres_per_pixel:g} {unit}; give from {finest:.2g} to {coarsest:.2g}"
+        )
 
 
 @lru_cache(maxsize=CACHED_CALIBRATIONS)

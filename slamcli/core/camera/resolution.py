@@ -15,6 +15,7 @@ from slamcli.core.geometry import apply_homography
 
 # Pixels this much farther than the range are kept until their exact place is known.
 _RANGE_MARGIN = 1.05
+_BAND_PIXELS = 2**22
 
 
 def floor_sampling(calibration: Calibration, points: ArrayLike) -> Float64Array:
@@ -85,9 +86,20 @@ def resolution_image(calibration: Calibration) -> Float32Array:
     exact limit. Read-only, as it is computed once for each calibration.
     """
     width, height = calibration.image_size
-    columns, rows = np.meshgrid(
-        np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)
-    )
+    pixels_per_metre = np.zeros((height, width), dtype=np.float32)
+    # In bands: the coordinates of all pixels of a large picture would take ten times its memory.
+    step = max(1, _BAND_PIXELS // width)
+    for first in range(0, height, step):
+        band = pixels_per_metre[first : first + step]
+        _fill_band(calibration, np.arange(first, first + len(band), dtype=np.float32), band)
+    # All callers are given the same array.
+    pixels_per_metre.setflags(write=False)
+    return pixels_per_metre
+
+
+def _fill_band(calibration: Calibration, rows_read: Float32Array, band: Float32Array) -> None:
+    """Fill some rows of a resolution image, which are all zero."""
+    columns, rows = np.meshgrid(np.arange(band.shape[1], dtype=np.float32), rows_read)
     if np.any(calibration.distortion):
         columns, rows = undistorted_coordinates(calibration, columns, rows)
     inverse = calibration.robot_from_image.astype(np.float32)
@@ -96,8 +108,4 @@ def resolution_image(calibration: Calibration) -> Float32Array:
     seen = (w > 0) & (x * x + y * y <= (reach * w) ** 2)
     # A pixel covers |det H| / w^3 of floor, the Jacobian determinant of the plane map x -> Hx / w.
     determinant = abs(float(np.linalg.det(calibration.robot_from_image)))
-    pixels_per_metre = np.zeros((height, width), dtype=np.float32)
-    np.sqrt(w**3 / np.float32(determinant), out=pixels_per_metre, where=seen)
-    # All callers are given the same array.
-    pixels_per_metre.setflags(write=False)
-    return pixels_per_metre
+    np.sqrt(w**3 / np.float32(determinant), out=band, where=seen)

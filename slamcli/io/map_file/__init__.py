@@ -21,10 +21,11 @@ from typing import Any, get_args
 import numpy as np
 
 from slamcli.core.arrays import AnyArray
+from slamcli.core.bounds import METRES_PER_PIXEL, TILT_DEGREES
+from slamcli.core.camera.footprint import MAX_REGISTRATION_PIXELS, check_metres_per_pixel
 from slamcli.core.errors import InputError, MapError
 from slamcli.core.records import DescriptorNorm, FloorMap
 from slamcli.io import calibration_codec
-from slamcli.io.calibration_codec import MAX_METRES
 from slamcli.io.checks import FieldError, check_number, check_word
 from slamcli.io.files import write_bytes
 from slamcli.io.map_file.header import (
@@ -162,11 +163,14 @@ def _parse(body: bytes) -> FloorMap:
     scale, tilt = header["metres_per_pixel"], header["tilt_sigma_degrees"]
     arrays = _parse_arrays(header["arrays"], memoryview(body)[end:])
     estimates, links = parse_drive(arrays)
+    calibration = calibration_codec.from_dict(header["calibration"])
+    scale = check_number(scale, "metres_per_pixel", METRES_PER_PIXEL)
+    check_metres_per_pixel(calibration, scale, MAX_REGISTRATION_PIXELS)
     return FloorMap(
-        calibration_codec.from_dict(header["calibration"]),
+        calibration,
         features,
-        check_number(scale, "metres_per_pixel", 1e-9, MAX_METRES),
-        check_number(tilt, "tilt_sigma_degrees", 0.0, 90.0),
+        scale,
+        check_number(tilt, "tilt_sigma_degrees", TILT_DEGREES),
         parse_keyframes(arrays, norm, {e.index: e for e in estimates}),
         estimates,
         links,

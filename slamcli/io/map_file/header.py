@@ -7,26 +7,11 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
+from slamcli.core.bounds import FEATURES, quoted
 from slamcli.core.config import FeatureMethod, FeatureOptions
 from slamcli.core.errors import MapError
 from slamcli.io.checks import check_number, check_word
 
-MAX_POINTS = 100_000
-_FEATURE_RANGES: dict[str, tuple[float, float]] = {
-    "count": (1, MAX_POINTS),
-    "scale_factor": (1.01, 4.0),
-    "levels": (1, 32),
-    "edge_threshold": (1, 1024),
-    "first_level": (0, 31),
-    "wta_k": (2, 4),
-    "patch_size": (5, 1024),
-    "fast_threshold": (1, 255),
-    "min_fast_threshold": (1, 255),
-    "contrast_threshold": (0.0, 1e3),
-    "clean_kernel_pixels": (1, 1024),
-    "clean_threshold": (0, 255),
-    "roi_border_pixels": (0, 4096),
-}
 _MAX_PATH_CHARACTERS = 32_767
 
 
@@ -50,9 +35,9 @@ def parse_features(section: Any) -> FeatureOptions:
         if type(value) is not type(default) and not (
             isinstance(default, float) and type(value) is int
         ):
-            raise MapError(f"its feature option {name} is {value!r}")
-        if name in _FEATURE_RANGES:
-            check_number(value, name, *_FEATURE_RANGES[name])
+            raise MapError(f"its feature option {name} is {quoted(value)}")
+        if name in FEATURES:
+            check_number(value, name, FEATURES[name])
     check_word(section["method"], "method", get_args(FeatureMethod))
     return FeatureOptions(**section)
 

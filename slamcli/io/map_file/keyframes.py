@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from slamcli.core.arrays import AnyArray
+from slamcli.core.bounds import COORDINATE, MAX_POINTS
 from slamcli.core.errors import MapError
 from slamcli.core.records import DescriptorNorm, Features, Keyframe, PoseEstimate
-from slamcli.io.calibration_codec import MAX_METRES
-from slamcli.io.map_file.header import MAX_POINTS
 from slamcli.io.map_file.pose_graph import expect
 
 # Numpy's names of the types; descriptors have one of two.
@@ -136,7 +135,7 @@ def _check_numbers(arrays: Mapping[str, AnyArray]) -> None:
         if values.dtype != np.uint8 and not np.all(np.isfinite(values)):
             raise MapError(f"its {name} have a number that is not finite")
     smallest = min(float(arrays[name].min(initial=1.0)) for name in ("sigmas", "sizes"))
-    if np.abs(arrays["points"]).max(initial=0.0) > MAX_METRES or smallest <= 0.0:
+    if np.abs(arrays["points"]).max(initial=0.0) > COORDINATE.high or smallest <= 0.0:
         raise MapError("its points, their sigmas or their sizes are out of range")
     # Points of an upright or a trained kind have no angle: nan.
     if np.isinf(arrays["angles"]).any():

@@ -9,11 +9,11 @@ from typing import get_args
 import numpy as np
 
 from slamcli.core.arrays import AnyArray, Float64Array
+from slamcli.core.bounds import COORDINATE
 from slamcli.core.camera.calibration import Rocking
 from slamcli.core.errors import MapError
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Link, LinkKind, PoseEstimate, Status
-from slamcli.io.calibration_codec import MAX_METRES
 
 DRIVE_KINDS = {
     "frames": "<i8",
@@ -166,8 +166,8 @@ def _check_poses(
     positions: Float64Array, covariances: Float64Array, min_eigenvalue: float = -1e-12
 ) -> None:
     """Refuse a pose farther away than any floor, and a matrix that is no covariance."""
-    if np.abs(positions).max(initial=0.0) > MAX_METRES:
-        raise MapError(f"a pose is more than {MAX_METRES:g} from the origin")
+    if np.abs(positions).max(initial=0.0) > COORDINATE.high:
+        raise MapError(f"a pose is more than {COORDINATE.high:g} from the origin")
     if not np.isfinite(covariances).all():
         raise MapError("its covariances have a number that is not finite")
     symmetric = np.allclose(covariances, covariances.transpose(0, 2, 1), rtol=1e-6, atol=1e-12)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.footprint import check_metres_per_pixel
 from slamcli.core.config import ProductOptions
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Grid
@@ -40,6 +42,8 @@ PRODUCTS = (
 _MAX_PNG_PIXELS = 400_000_000
 _PNG_BYTES_A_PIXEL = 5
 _MAX_NAMED = 5
+# Of the floor that one frame sees; a map may have far more.
+_MAX_VIEW_PIXELS = 2**30
 _OVERVIEW_PIXELS, _MAX_OVERVIEW_FACTOR = 1600, 512
 
 
@@ -109,8 +113,10 @@ def counted(names: Sequence[str]) -> str:
     return f"{len(names)} frame{'s' if len(names) > 1 else ''} ({shown})"
 
 
-def check_formats(options: ProductOptions) -> None:
-    """Raise InputError when a library that a format needs is not there."""
+def check_products(options: ProductOptions, calibration: Calibration) -> None:
+    """Raise InputError when a library is not there, or the camera has no such resolution."""
+    if options.paint.metres_per_pixel is not None:
+        check_metres_per_pixel(calibration, options.paint.metres_per_pixel, _MAX_VIEW_PIXELS)
     if "geotiff" in options.formats:
         geotiff.check_geotiff()
 

@@ -137,7 +137,7 @@ def open_drive(
         inputs = replace(inputs, files=absolute)
     telemetry = read_telemetry(telemetry_files, inputs)
     exports.check_exports(options.export, inputs.files, has_gps=bool(telemetry.gps))
-    outputs.check_formats(options.products)
+    outputs.check_products(options.products, inputs.calibration)
     if options.self_calibrate and telemetry_files.any:
         raise InputError(
             "--self-calibrate works by the frames alone; refine the camera first "

@@ -17,6 +17,7 @@ from slamcli.io.frames import FrameFile, read_frame, read_reduced_gray
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.paint.budget import size_text
+from slamcli.run.paint.outputs import check_products
 from slamcli.run.paint.paint import make_painter
 from slamcli.run.session.session import Session
 from slamcli.run.stitch.options import StitchOptions
@@ -141,6 +142,7 @@ def _blurred(details: Sequence[float], numbers: Sequence[int]) -> list[int]:
 def _costs(inputs: Inputs, options: StitchOptions, workers: int) -> list[str]:
     """Return the forecast: overlap, size of the map, disk, memory and time."""
     frames, unit = len(inputs.files), inputs.calibration.unit
+    check_products(options.products, inputs.calibration)
     painter = make_painter(inputs.calibration, options.products)
     scale = painter.metres_per_pixel
     overlaps, seconds = _probe(inputs, options)
