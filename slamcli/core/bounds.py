@@ -7,10 +7,15 @@ and no comparison with nan is true: neither nan nor infinity ever is within boun
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from reprlib import Repr
 from typing import Any
 
 # Texts of values are quoted in messages up to this length.
 _MAX_QUOTED = 40
+# Of nested lists, which may share parts, so that the whole text could have billions of characters.
+_SHORT = Repr()
+_SHORT.maxlevel, _SHORT.maxlist, _SHORT.maxtuple, _SHORT.maxdict = 3, 4, 4, 4
+_SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 2 * _MAX_QUOTED
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +57,9 @@ class Bounds:
 
 
 def quoted(value: Any) -> str:
-    """Return a value as messages show it: one of thousands of digits is cut."""
+    """Return a value as messages show it: what has thousands of digits or elements is cut."""
     try:
-        text = value if isinstance(value, str) else repr(value)
+        text = value if isinstance(value, str) else _SHORT.repr(value)
     except ValueError:  # Python writes no integer of more than 4300 digits
         return "a number of thousands of digits"
     text = text if len(text) <= _MAX_QUOTED else f"{text[: _MAX_QUOTED - 3]}..."

@@ -45,7 +45,7 @@ def test_a_field_of_gps_is_within_bounds(tmp_path: Path, column: str, value: str
 def test_a_sigma_that_no_solver_could_use_is_refused(tmp_path: Path, value: str) -> None:
     file = tmp_path / "compass.csv"
     file.write_text(f"stamp,heading,sigma\n0,0,{value}\n")
-    with pytest.raises(InputError, match="line 2: sigma is .* a number from 1e-06"):
+    with pytest.raises(InputError, match=r"line 2: sigma is .* a number from 1e-06"):
         read_compass(file)
 
 
@@ -115,7 +115,7 @@ def test_yaml_whose_aliases_stand_for_billions_of_numbers_is_refused(tmp_path: P
     good = calibration_text(calibration()).replace("data: [", "unused: [", 1)
     lines += [good.replace("camera_matrix:", "camera_matrix:\n  data: *a11", 1)]
     file.write_text("\n".join(lines))
-    with pytest.raises(CalibrationError, match="camera_matrix .*numbers are needed"):
+    with pytest.raises(CalibrationError, match=r"camera_matrix .*numbers are needed"):
         load_calibration(file)
 
 
@@ -131,7 +131,7 @@ def test_what_is_no_regular_file_is_not_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("scale", [1e-6, 0.5, 1e3])
 def test_a_resolution_out_of_proportion_is_refused_with_those_that_serve(scale: float) -> None:
-    with pytest.raises(InputError, match="give from .* to ") as raised:
+    with pytest.raises(InputError, match=r"give from .* to ") as raised:
         check_metres_per_pixel(calibration(), scale, 2**24)
     finest, coarsest = (float(word) for word in str(raised.value).split()[-3::2])
     for good in (1.01 * finest, 0.99 * coarsest):
