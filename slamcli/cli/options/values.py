@@ -19,8 +19,8 @@ else:  # click 8.1's takes no parameter
 
 PATH = click.Path(path_type=Path)
 
-# More than any machine has; a petabyte.
-_MAX_BYTES = 10**15
+# Less than any picture takes, and more than any machine has.
+_MIN_BYTES, _MAX_BYTES = 10**6, 10**15
 
 
 class Number(click.FloatRange):
@@ -182,7 +182,7 @@ class Bytes(Value):
         parts = re.fullmatch(r"(\d{1,15}(?:\.\d{1,15})?)([kMGT]?)B?", str(value), re.ASCII)
         factor: int = 0 if parts is None else 1000 ** " kMGT".index(parts[2] or " ")
         count = 0 if parts is None else round(float(parts[1]) * factor)
-        if not 0 < count <= _MAX_BYTES:
+        if not _MIN_BYTES <= count <= _MAX_BYTES:
             self.fail(f"{quoted(value)} is no amount such as 500M or 2G", param, ctx)
         return count
 
