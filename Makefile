@@ -3,8 +3,9 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
 DEMO ?= demo
+COUNT ?= 2000
 
-.PHONY: demo test test-all lint docs figures bench samples clean
+.PHONY: demo test test-all fuzz lint docs figures bench samples clean
 
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -29,6 +30,10 @@ test: $(VENV)/installed-dev lint
 # And what is slow.
 test-all: test
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m slow
+
+# Mutated files of every format, each read in a process of bounded time and memory.
+fuzz: $(VENV)/installed-dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/robustness/fuzz.py --count $(COUNT)
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check

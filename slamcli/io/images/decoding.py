@@ -99,7 +99,7 @@ def decode(data: bytes, reading: Reading) -> tuple[UInt8Array, UInt8Array | None
     # OpenCV turns every TIFF, and no other file here.
     code = 1 if kind == formats.TIFF else header.orientation
     mask = _transparency(data) if header.has_alpha else None
-    image = turn(_decoded(data, header, reading), code)
+    image = turn(_decoded(kind, data, header, reading), code)
     return image, None if mask is None else turn(mask, code)
 
 
@@ -127,20 +127,27 @@ def sample_bits(data: bytes) -> int | None:
     return _range_bits(_deep(data, cv2.IMREAD_COLOR_BGR))
 
 
-def _decoded(data: bytes, header: Header, reading: Reading) -> UInt8Array:
+def _decoded(kind: str, data: bytes, header: Header, reading: Reading) -> UInt8Array:
     """Return the picture as it is stored, a TIFF as it is to be seen."""
-    kind = _KINDS[reading.gray, reading.factor]
+    whole = _KINDS[reading.gray, 1]
     if header.sample_bits > 8:
-        whole = cv2.IMREAD_GRAYSCALE if reading.gray else cv2.IMREAD_COLOR_BGR
         deep = _deep(data, whole)
         bits = reading.sample_bits or _range_bits(deep)
         if bits < 16:
-            image = np.minimum(deep >> (bits - 8), 255).astype(np.uint8)
-            scale = 1 / reading.factor
-            method = cv2.INTER_LINEAR_EXACT
-            small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=method)
-            return np.asarray(small, dtype=np.uint8)
-    return np.asarray(_opencv(data, kind), dtype=np.uint8)
+            return _reduced(np.minimum(deep >> (bits - 8), 255).astype(np.uint8), reading.factor)
+    if kind == formats.TIFF and header.size != (header.width, header.height):
+        # OpenCV reduces a picture to the sides that it had before it was turned.
+        return _reduced(np.asarray(_opencv(data, whole), dtype=np.uint8), reading.factor)
+    return np.asarray(_opencv(data, _KINDS[reading.gray, reading.factor]), dtype=np.uint8)
+
+
+def _reduced(image: UInt8Array, factor: int) -> UInt8Array:
+    if factor == 1:
+        return image
+    scale, method = 1 / factor, cv2.INTER_LINEAR_EXACT
+    return np.asarray(
+        cv2.resize(image, None, fx=scale, fy=scale, interpolation=method), dtype=np.uint8
+    )
 
 
 def _deep(data: bytes, kind: int) -> UInt16Array:

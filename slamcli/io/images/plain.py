@@ -9,7 +9,8 @@ from typing import BinaryIO
 from slamcli.core.errors import FrameError
 from slamcli.io.images.header import Header, check_length
 
-_PNM_NUMBER = rb"(?:\s+|#[^\n]*\n)+(\d{1,9})"
+# Possessive, or spaces without a number take for ever.
+_PNM_NUMBER = rb"(?:\s|#[^\n]*\n)++(\d{1,9})"
 _PNM_SIZE = re.compile(rb"P[1-6]" + _PNM_NUMBER * 2)
 _PNM_SIZE_AND_RANGE = re.compile(rb"P[1-6]" + _PNM_NUMBER * 3)
 _BITMAP, _BINARY = b"14", b"456"

@@ -1,0 +1,47 @@
+"""A short run of the fuzzer, and what it once found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("PIL")
+
+import fuzz
+
+COUNT = 60
+
+
+@pytest.mark.parametrize("name", fuzz.formats())
+def test_no_mutation_ends_in_anything_but_a_reason(name: str, tmp_path: Path) -> None:
+    failed = [
+        (number, outcome)
+        for number, outcome in fuzz.run(name, COUNT, findings=None)
+        if outcome.kind not in {"clean", "reason"}
+    ]
+    assert failed == []
+
+
+@pytest.mark.parametrize("path", sorted(fuzz.FINDINGS.glob("*-*")), ids=lambda path: path.name)
+def test_what_was_found_is_mended(path: Path) -> None:
+    child = fuzz.Child()
+    try:
+        outcome = child.read(path.name.split("-", maxsplit=1)[0], path.read_bytes())
+    finally:
+        child.close()
+    assert outcome.kind in {"clean", "reason"}, outcome.text
+
+
+@pytest.mark.parametrize("name", fuzz.formats())
+def test_good_files_of_the_corpus_are_read(name: str, tmp_path: Path) -> None:
+    kind = fuzz.formats()[name]
+    kinds = {fuzz.outcome_of(kind, data, tmp_path).kind for data in kind.corpus()}
+    assert kinds == ({"reason"} if name == "foreign" else {"clean"})
+
+
+def test_a_mutation_follows_from_its_number(tmp_path: Path) -> None:
+    kind = fuzz.formats()["png"]
+    corpus = kind.corpus()
+    twice = [fuzz.mutation("png", kind, corpus, 7) for _ in range(2)]
+    assert twice[0] == twice[1] != fuzz.mutation("png", kind, corpus, 8)
