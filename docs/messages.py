@@ -33,7 +33,9 @@ DECIDING = (
     "registration/",
     "run/match/fitting.py",
     "selfcal/",
+    "run/stitch/lost_in_survey.py",
     "stages/align/",
+    "survey/",
 )
 # Names of the confidence model's inputs, and what changed in a camera: no reasons.
 NOT_REASONS = ("registration/confidence.py", "selfcal/apply.py")

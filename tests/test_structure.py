@@ -21,6 +21,7 @@ FLOORS = {
     "drawing": 2,
     "registration": 3,
     "selfcal": 3,
+    "survey": 3,
     "mapping": 4,
     "run": 5,
     "cli": 6,

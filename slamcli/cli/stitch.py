@@ -33,6 +33,14 @@ _frame_options = stacked(
         Number(HERTZ),
         "Frames per second, which give the frames their stamps.",
     ),
+    _stitch(
+        "mount",
+        "--mount",
+        click.Choice(["auto", "rigid", "free"]),
+        "How a camera without a calibration is carried: rigid, always at one height and straight "
+        "down; free, with height and tilt that vary; auto finds out.",
+        default="auto",
+    ),
     _stitch("debug", "--debug", text="Also draw every frame's matches, in matches/.", is_flag=True),
     _stitch(
         "export",

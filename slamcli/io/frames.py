@@ -11,6 +11,7 @@ from pathlib import Path
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.records import Frame
+from slamcli.io.images import canvas
 from slamcli.io.images.decoding import Reading, decode, picture_size, read_bytes, sample_bits
 from slamcli.io.images.own import is_marked
 
@@ -41,6 +42,9 @@ class FrameFile:
         Width and height of the run's camera, pixels: no picture of another size is decoded.
     digest : bytes
         Of the content that was read before; no other is accepted. Empty when none was.
+    canvas : (int, int) or None
+        Width and height that the picture is brought to when it has another size: see
+        `images.canvas`.
     """
 
     index: int
@@ -49,6 +53,7 @@ class FrameFile:
     sample_bits: int = _MAX_SAMPLE_BITS
     camera_size: tuple[int, int] | None = None
     digest: bytes = b""
+    canvas: tuple[int, int] | None = None
 
     @property
     def name(self) -> str:
@@ -120,7 +125,11 @@ def read_frame(file: FrameFile, *, gray: bool = False, halved: bool = False) -> 
     digest = hashlib.blake2b(data, digest_size=_DIGEST_BYTES).digest()
     if file.digest not in {b"", digest}:
         raise FrameError("the file has changed since it was read first")
-    image, mask = _decoded(file, data, gray=gray, factor=2 if halved and not gray else 1)
+    factor = 2 if halved and not gray else 1
+    image, mask = _decoded(file, data, gray=gray, factor=1 if file.canvas else factor)
+    if file.canvas is not None:
+        image, mask = canvas.on_canvas(image, mask, file.canvas)
+        image = canvas.halved(image) if factor == 2 else image
     return Frame(file.index, file.name, file.stamp, image, mask, digest)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -55,6 +55,9 @@ def render(
     outputs.check_products(options, floor_map.calibration)
     remedy = "give their folder with --frames"
     files = list_frames(map_sources(floor_map, path, remedy) if frames is None else [frames])
+    if floor_map.calibration.unit == "px":
+        canvas = floor_map.calibration.image_size
+        files = [replace(file, canvas=canvas) for file in files]
     estimates = [e for e in floor_map.estimates if e.map_from_robot is not None]
     if not estimates:
         raise InputError(f"{path} has no frame with a pose; there is nothing to paint")

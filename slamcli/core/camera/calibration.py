@@ -109,7 +109,9 @@ class Rocking:
     Attributes
     ----------
     pitch_radians, roll_radians : float
+        Of a top-down frame without a calibration about the picture's horizontal and vertical axis.
     height_metres : float
+        Pixels without a calibration.
     """
 
     pitch_radians: float = 0.0

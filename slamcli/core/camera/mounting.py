@@ -54,7 +54,14 @@ def compose_robot_from_image(
 
 
 def rocked(calibration: Calibration, rocking: Rocking) -> Calibration:
-    """Return the calibration of one frame, moved by its pitch, roll and height."""
+    """Return the calibration of one frame, moved by its pitch, roll and height.
+
+    Of a top-down frame without a calibration pitch and roll turn the camera about the picture's
+    horizontal and vertical axis, and the height above the floor that its middle shows is the focal
+    length in pixels but for the rocking: see `top_down_homography`.
+    """
+    if calibration.unit == "px":
+        return _rocked_top_down(calibration, rocking)
     height = calibration.height_metres + rocking.height_metres
     pitch = calibration.pitch_radians + rocking.pitch_radians
     roll = calibration.roll_radians + rocking.roll_radians
@@ -64,4 +71,36 @@ def rocked(calibration: Calibration, rocking: Rocking) -> Calibration:
         pitch_radians=pitch,
         roll_radians=roll,
         robot_from_image=compose_robot_from_image(calibration.camera_matrix, height, pitch, roll),
+    )
+
+
+def top_down_homography(camera_matrix: Float64Array, rocking: Rocking) -> Float64Array:
+    """Return the (3, 3) homography from floor to undistorted pixels of a camera that looks down.
+
+    The robot frame lies on the floor in the picture's middle, x to the picture's right and y up;
+    the camera is ``focal length + rocking.height_metres`` away from there along its optical axis.
+    Without rocking a pixel is a unit of the floor.
+    """
+    focal = float(camera_matrix[0, 0])
+    cos_pitch, sin_pitch = math.cos(rocking.pitch_radians), math.sin(rocking.pitch_radians)
+    cos_roll, sin_roll = math.cos(rocking.roll_radians), math.sin(rocking.roll_radians)
+    plane = np.array(
+        [
+            [cos_roll, -sin_roll * sin_pitch, 0.0],
+            [0.0, -cos_pitch, 0.0],
+            [-sin_roll, -cos_roll * sin_pitch, focal + rocking.height_metres],
+        ]
+    )
+    homography: Float64Array = camera_matrix @ plane / focal
+    return homography
+
+
+def _rocked_top_down(calibration: Calibration, rocking: Rocking) -> Calibration:
+    focal = float(calibration.camera_matrix[0, 0])
+    homography = top_down_homography(calibration.camera_matrix, rocking)
+    range_factor = max(1.0, 1.0 + rocking.height_metres / focal)
+    return replace(
+        calibration,
+        robot_from_image=invert(homography),
+        max_range_metres=calibration.max_range_metres * range_factor,
     )

@@ -140,7 +140,7 @@ def _write_map(output: MapToWrite, scene: Scene) -> None:
 
 def _check_size(scene: Scene, painter: Painter, options: ProductOptions) -> None:
     """Refuse, before anything is painted, what could not be written afterwards."""
-    grid = painter.extent([shot.map_from_robot for shot in scene.shots])
+    grid = painter.extent_of(scene.shots)
     _check_png(grid if options.crop is None else _cropped(grid, options.crop), options)
 
 

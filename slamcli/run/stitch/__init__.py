@@ -12,6 +12,7 @@ from slamcli.io.checkpoints import Checkpoint
 from slamcli.io.map_file import MAP_NAME, save_map
 from slamcli.io.outputs import locked_folder, move_folder, remove_folder, staging_folder
 from slamcli.io.poses import write_poses
+from slamcli.mapping.backend.pose_graph import placed_fragments
 from slamcli.run.calibrate import self_calibration
 from slamcli.run.frame_loop import finish, registration_of, run_mapper
 from slamcli.run.paint import outputs
@@ -19,7 +20,7 @@ from slamcli.run.paint.outputs import PaintedMaps
 from slamcli.run.paint.scene import scenes_of
 from slamcli.run.paint.thumbnails import Thumbnails
 from slamcli.run.session.session import Session
-from slamcli.run.stitch import exports, report, resume
+from slamcli.run.stitch import exports, report, resume, survey
 from slamcli.run.stitch.debug_drawings import draw_trials
 from slamcli.run.stitch.drive import Drive, LocatedDrive, open_drive
 from slamcli.run.stitch.options import StitchOptions
@@ -81,9 +82,53 @@ def stitch(
 def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> LocatedDrive:
     """First pass over the frames: each to its pose or the reason why it has none.
 
-    Frames that a resumed mapper has seen are done. The state is saved now and then, until a frame
-    vanishes: a resumed run finds it again. From here on each file must keep the content that was
-    read.
+    Frames without a calibration are located as a survey when some of them contradict a rigid
+    top-down mount, or when that leaves frames or maps apart and a survey connects more.
+    """
+    may_be_survey = survey.may_be_survey(drive)
+    if may_be_survey and not drive.mapper.estimates:
+        free = drive.options.mount == "free"
+        if free or survey.moves_freely(drive.inputs.files, session):
+            return _survey_frames(drive, session)
+    located = _track_frames(drive, checkpoint, session)
+    whole = _size(located)[0] == len(drive.inputs.files)
+    if not may_be_survey or session.interruption.happened or whole:
+        return located
+    surveyed = _survey_frames(drive, session)
+    return surveyed if _size(surveyed) > _size(located) else located
+
+
+def _size(located: LocatedDrive) -> tuple[int, int]:
+    """Return how many frames the largest map has, and how many all have."""
+    fragments = placed_fragments(located.registered.estimates).values()
+    sizes = [len(members) for members in fragments]
+    return max(sizes, default=0), sum(sizes)
+
+
+def _survey_frames(drive: Drive, session: Session) -> LocatedDrive:
+    """Describe the frames, and locate all as a survey."""
+    files, described, vanished = drive.inputs.files, list[survey.Described](), list[str]()
+    missing = {file.index for file in files if not file.path.exists()}
+    here = session.on_this_machine()
+    for file, one in zip(
+        files, here.stage("describing", survey.describe_file, files), strict=False
+    ):
+        described.append(one)
+        if not one.digest and file.index not in missing and not file.path.exists():
+            vanished.append(file.name)
+        if session.interruption.stops_here():
+            break
+    found = survey.locate_survey(files, described, drive, here)
+    drive = replace(drive, inputs=replace(drive.inputs, files=found.files))
+    registered, gone = found.registered, tuple(vanished)
+    return LocatedDrive(drive, drive.mapper, registered, Thumbnails(), gone, "", survey=found.facts)
+
+
+def _track_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> LocatedDrive:
+    """Pass the frames through a mapper; those that a resumed one has seen are done.
+
+    The state is saved now and then, until a frame vanishes: a resumed run finds it again. From here
+    on each file must keep the content that was read.
     """
     schedule, thumbnails = resume.SaveSchedule(), Thumbnails()
     files, mapper, vanished = list(drive.inputs.files), drive.mapper, list[str]()

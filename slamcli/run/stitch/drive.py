@@ -11,6 +11,7 @@ from slamcli.core.config import MapperOptions
 from slamcli.core.errors import InputError
 from slamcli.core.records import PoseEstimate
 from slamcli.io.map_file import map_path
+from slamcli.io.toml import Scalar
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.networks import with_match_network, with_point_network
@@ -60,6 +61,14 @@ class Drive:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SurveyFacts:
+    """What a survey found of its camera: rows of the closing table, and a section of run.toml."""
+
+    rows: tuple[tuple[str, str], ...]
+    section: dict[str, Scalar]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LocatedDrive:
     """A drive whose frames have a pose, or the reason why they have none.
 
@@ -77,6 +86,8 @@ class LocatedDrive:
     time_offset : str
         A line on the sensors' clock against the frames'; empty when it was not to be found.
     self_calibration : SelfCalibration or None
+    survey : SurveyFacts or None
+        Of frames without a calibration that were located as a survey.
     """
 
     drive: Drive
@@ -86,6 +97,7 @@ class LocatedDrive:
     vanished: tuple[str, ...]
     time_offset: str
     self_calibration: SelfCalibration | None = None
+    survey: SurveyFacts | None = None
 
     @property
     def calibration(self) -> Calibration:
@@ -95,7 +107,7 @@ class LocatedDrive:
     @property
     def reached(self) -> int:
         """How many frames the run came to: all, unless it was interrupted."""
-        return len(self.mapper.estimates)
+        return len(self.registered.estimates)
 
     @property
     def estimates(self) -> list[PoseEstimate]:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from slamcli.core.config import MapperOptions, ProductOptions
 from slamcli.core.telemetry import TelemetryOptions
 from slamcli.run.networks import NO_NETWORKS, NetworkFiles
+
+Mount = Literal["auto", "rigid", "free"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +28,9 @@ class StitchOptions:
         Overrides the calibration's far limit.
     frame_rate : float or None
         Frames per second, for stamps.
+    mount : str
+        How a camera without a calibration is carried: ``rigid`` holds it to three degrees of
+        freedom, ``free`` to six; ``auto`` finds out.
     self_calibrate : bool
         Refine the camera by the frames, where they determine it.
     debug : bool
@@ -45,6 +51,7 @@ class StitchOptions:
     products: ProductOptions = field(default_factory=ProductOptions)
     max_range_metres: float | None = None
     frame_rate: float | None = None
+    mount: Mount = "auto"
     self_calibrate: bool = False
     debug: bool = False
     export: tuple[str, ...] = ()

@@ -61,6 +61,9 @@ def report(
     method = located.mapper.options.features.method
     if method in LEARNED:
         rows.append(("map.slam", f"to render; slam locate and --extend do not take {method}"))
+    if located.survey is not None:
+        rows += located.survey.rows
+        rows.append(("map.slam", "to render; slam locate and --extend do not take surveys"))
     lines += [f"{name:<12} {value}" for name, value in rows]
     if located.self_calibration is not None:
         lines += describe(located.self_calibration)
@@ -118,7 +121,7 @@ def write_run(path: Path, located: LocatedDrive, session: Session) -> None:
         "predicted": sum(e.status == "predicted" for e in estimates),
         "lost": sum(e.status == "lost" for e in estimates),
         "fragments": len(placed_fragments(estimates)),
-        "links": len(mapper.links),
+        "links": len(located.registered.links) if located.survey else len(mapper.links),
         "switched_off": len(mapper.switched_off),
     }
     for fragment, georeference in mapper.georeferences.items():
@@ -126,6 +129,8 @@ def write_run(path: Path, located: LocatedDrive, session: Session) -> None:
         sections[name] = exports.georeference_table(georeference)
     if located.self_calibration is not None:
         sections["self_calibration"] = run_section(located.self_calibration)
+    if located.survey is not None:
+        sections["survey"] = located.survey.section
     toml.write_toml(path, sections)
 
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from slamcli.core.arrays import BoolArray, Int32Array, UInt8Array, UInt16Array
+from slamcli.core.arrays import BoolArray, Float64Array, Int32Array, UInt8Array, UInt16Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.footprint import footprint_hull
 from slamcli.core.camera.projection import project_floor
@@ -93,7 +93,7 @@ class Painter:
         """
         seen: dict[TileKey, list[int]] = {}
         for number, posed in enumerate(posed_frames):
-            outline = posed.map_from_robot.apply(self.hull)
+            outline = posed.map_from_robot.apply(self._hull_of(posed.calibration))
             for key in tiles.tiles_under(outline, self.metres_per_pixel):
                 seen.setdefault(key, []).append(number)
         return list(seen.items())
@@ -185,10 +185,19 @@ class Painter:
         grid = self.extent([map_from_robot])
         return sample_image(source, calibration or self.calibration, map_from_robot, grid)
 
+    def extent_of(self, posed_frames: Sequence[PosedFrame]) -> Grid:
+        """Return the grid in the map that covers all that (N >= 1) posed frames could see."""
+        points = [one.map_from_robot.apply(self._hull_of(one.calibration)) for one in posed_frames]
+        return Grid.covering(np.vstack(points), self.metres_per_pixel)
+
     def extent(self, poses: Sequence[Pose2]) -> Grid:
         """Return the grid in the map that covers all that could be seen from (N >= 1) poses."""
         points = np.vstack([pose.apply(self.hull) for pose in poses])
         return Grid.covering(points, self.metres_per_pixel)
+
+    def _hull_of(self, calibration: Calibration) -> Float64Array:
+        """Return the outline of the floor that a frame sees, which height and tilt change."""
+        return footprint_hull(calibration) if calibration.unit == "px" else self.hull
 
     def _part(self, key: TileKey, window: CellWindow) -> Grid:
         side = tiles.CELL_PIXELS

@@ -1,0 +1,181 @@
+"""A survey: features of all frames in, every frame's state over the plane out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from slamcli.survey import candidates
+from slamcli.survey.bundle import Bundle, Lens, Mount, adjust, learned_mount
+from slamcli.survey.candidates import NumberPair
+from slamcli.survey.features import SurveyFeatures
+from slamcli.survey.network import connected, first_states, rescaled
+from slamcli.survey.pairs import Pair, coarse_votes, find_pair
+from slamcli.survey.projection import project
+
+Result = TypeVar("Result")
+
+
+class InOrder(Protocol):
+    """Works as `map` does; may work ahead."""
+
+    def __call__(
+        self, work: Callable[[NumberPair], Result], items: Sequence[NumberPair], /
+    ) -> Iterable[Result]:
+        """Yield ``work(item)`` in the items' order."""
+
+
+# Rounds of matching what the poses predict to overlap, of leaving out contradicted pairs, and of
+# learning how freely the camera moves. [Guarded by benchmarks/real_sets.py.]
+_OVERLAP_ROUNDS, _OUTLIER_ROUNDS, _LEARNING_ROUNDS = 2, 4, 4
+# A pair is contradicted by the others when its median residual is this many times the pairs' own
+# median, and this share of the picture's longer side.
+_OUTLIER_FACTOR, _OUTLIER_SHARE = 5.0, 0.008
+_FIRST_MOUNT, _LOOSE_MOUNT = Mount(0.0, 0.3), Mount(0.005, 0.3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurveyMap:
+    """One connected map: its frames, the adjustment of their states, and the pairs it used."""
+
+    frames: tuple[int, ...]
+    bundle: Bundle
+    pairs: tuple[Pair, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Survey:
+    """Result of a survey.
+
+    Attributes
+    ----------
+    maps : tuple of SurveyMap
+        The largest first; each of two frames or more.
+    contradicted : tuple of Pair
+        Verified pairs that the others of their map contradict.
+    rejected : tuple of Pair
+        Of the others that were matched, with their reasons.
+    """
+
+    maps: tuple[SurveyMap, ...]
+    contradicted: tuple[Pair, ...]
+    rejected: tuple[Pair, ...]
+
+
+def survey(features: Sequence[SurveyFeatures], lens: Lens, in_order: InOrder = map) -> Survey:
+    """Return the maps that frames connect to.
+
+    Parameters
+    ----------
+    features : sequence of SurveyFeatures
+        Of every frame; those of a frame that cannot be used have no points.
+    lens : Lens
+        First guess.
+    in_order : callable
+        Like `map`; may work ahead.
+    """
+    frames = len(features)
+    compared = candidates.compared(frames)
+    votes = list(in_order(partial(_votes, features), compared))
+    first = [*candidates.by_sequence(frames), *candidates.by_appearance(compared, votes)]
+    tried: set[NumberPair] = set()
+    pairs, rejected, contradicted = list[Pair](), list[Pair](), list[Pair]()
+    following = candidates.untried(first, tried)
+    maps: list[SurveyMap] = []
+    for _ in range(1 + _OVERLAP_ROUNDS):
+        tried |= set(following)
+        found = list(in_order(partial(_pair, features), following))
+        rejected += [pair for pair in found if pair.reason]
+        new = [pair for pair in found if not pair.reason]
+        if maps and not new:
+            break
+        maps, off = _solve([*pairs, *new], frames, lens)
+        contradicted += off
+        pairs = [pair for one in maps for pair in one.pairs]
+        predicted = [pair for one in maps for pair in _overlaps(one, features)]
+        following = candidates.untried(predicted, tried)
+        if not following:
+            break
+    return Survey(tuple(maps), tuple(contradicted), tuple(rejected))
+
+
+def _votes(features: Sequence[SurveyFeatures], numbers: NumberPair) -> int:
+    a, b = numbers
+    return coarse_votes(features[a], features[b])
+
+
+def _pair(features: Sequence[SurveyFeatures], numbers: NumberPair) -> Pair:
+    a, b = numbers
+    return find_pair(a, b, features[a], features[b])
+
+
+def _overlaps(one: SurveyMap, features: Sequence[SurveyFeatures]) -> list[NumberPair]:
+    homographies = project(one.bundle.states, one.bundle.lens.focal_pixels).image_from_map
+    sizes = [features[frame].size for frame in one.frames]
+    return candidates.by_overlap(homographies, one.frames, sizes)
+
+
+def _solve(pairs: Sequence[Pair], frames: int, lens: Lens) -> tuple[list[SurveyMap], list[Pair]]:
+    """Return the maps that pairs connect, and the pairs that the others contradict."""
+    maps, contradicted = [], list[Pair]()
+    left = [members for members in connected(pairs, frames) if len(members) > 1]
+    while left:
+        members = left.pop(0)
+        inside = set(members)
+        own = [pair for pair in pairs if pair.a in inside and pair not in contradicted]
+        solved, off = _solve_connected(own, members, lens)
+        contradicted += off
+        if solved is None:
+            parts = connected([pair for pair in own if pair not in off], frames)
+            left += [part for part in parts if len(part) > 1 and part[0] in inside]
+        else:
+            maps.append(solved)
+    maps.sort(key=lambda one: (-len(one.frames), one.frames[0]))
+    return [*maps[:1], *(_with_lens(one, maps[0].bundle.lens) for one in maps[1:])], contradicted
+
+
+def _with_lens(one: SurveyMap, lens: Lens) -> SurveyMap:
+    """Return a small map adjusted anew with the lens of the largest, which determines it better."""
+    states, mount = rescaled(one.bundle.states), one.bundle.mount
+    return replace(one, bundle=adjust(one.pairs, one.frames, states, lens, mount, lens_known=True))
+
+
+def _solve_connected(
+    pairs: list[Pair], members: list[int], lens: Lens
+) -> tuple[SurveyMap | None, list[Pair]]:
+    """Return the map of connected frames, and the pairs left out.
+
+    None for the map when these hold it together: its parts are to be solved by themselves.
+    """
+    contradicted = list[Pair]()
+    states = first_states(pairs, members)
+    for _ in range(_OUTLIER_ROUNDS):
+        bundle = adjust(pairs, members, states, lens, _FIRST_MOUNT)
+        bundle = adjust(pairs, members, rescaled(bundle.states), bundle.lens, _LOOSE_MOUNT)
+        for _ in range(_LEARNING_ROUNDS):
+            states = rescaled(bundle.states)
+            bundle = adjust(pairs, members, states, bundle.lens, learned_mount(bundle))
+        off = _outliers(bundle, pairs)
+        if not off:
+            break
+        contradicted += off
+        pairs = [pair for pair in pairs if pair not in off]
+        parts = connected(pairs, max(members) + 1)
+        if len(parts[0]) < len(members):
+            return None, contradicted
+    bundle = replace(bundle, states=rescaled(bundle.states))
+    return SurveyMap(tuple(members), bundle, tuple(pairs)), contradicted
+
+
+def _outliers(bundle: Bundle, pairs: Sequence[Pair]) -> list[Pair]:
+    """Return the pairs that the others contradict, the worst half of them at a time."""
+    limit = max(
+        _OUTLIER_FACTOR * float(np.median(bundle.pair_pixels)),
+        _OUTLIER_SHARE * 2.0 * bundle.lens.radius_pixels,
+    )
+    worst = max(limit, 0.5 * float(bundle.pair_pixels.max()))
+    return [pair for pair, error in zip(pairs, bundle.pair_pixels, strict=True) if error > worst]
