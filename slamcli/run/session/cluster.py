@@ -7,10 +7,12 @@ them under the same one.
 
 from __future__ import annotations
 
+import logging
+import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
-from contextlib import contextmanager
-from typing import Any
+from concurrent.futures import CancelledError, Executor, Future
+from contextlib import contextmanager, suppress
+from typing import Any, TypeVar
 
 import cv2
 
@@ -19,8 +21,16 @@ from slamcli.core.errors import InputError
 # The function travels with the first task that needs it, some megabytes of it.
 _QUIET = {"distributed.admin.large-graph-warning-threshold": "1GB"}
 _CONNECT_SECONDS = 10
+# So long a cluster may have no worker, or a scheduler that does not answer: a worker that is
+# restarted is back in less.
+_PATIENCE_SECONDS = 10.0
+_POLL_SECONDS, _ANSWER_SECONDS, _CLOSE_SECONDS = 1.0, 5, 2
 # A frame that kills more workers than this fails the run.
 _MAX_DEATHS = 4
+# What they log about a lost connection is one line of this program.
+_LOGGERS = ("distributed", "distributed.client", "tornado", "asyncio")
+
+Result = TypeVar("Result")
 
 
 class Cluster(Executor):
@@ -29,20 +39,79 @@ class Cluster(Executor):
     Parameters
     ----------
     client : distributed.Client
+    address : str
+        Of the scheduler.
     """
 
-    def __init__(self, client: Any) -> None:
+    def __init__(self, client: Any, address: str) -> None:
         self._client = client
+        self._address = address
         self._executor = client.get_executor(pure=False, retries=_MAX_DEATHS)
         self._kept: dict[Callable[..., Any], Any] = {}
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Schedule ``fn(*args)``; `fn` is sent only once."""
+        """Schedule ``fn(*args)``; `fn` is sent only once.
+
+        Raises
+        ------
+        InputError
+            When the connection to the scheduler is lost.
+        """
+        if self._client.status not in {"running", "connecting"}:
+            raise self._lost()
         if fn not in self._kept:
             # As the result of a task, not as data: a worker that dies with it is no loss.
             self._kept[fn] = self._client.submit(_same, _Wrapped(fn), pure=False)
         future: Future[Any] = self._executor.submit(_call, self._kept[fn], *args, **kwargs)
         return future
+
+    def result(self, future: Future[Result]) -> Result:
+        """Wait for a result, as long as there are workers.
+
+        Raises
+        ------
+        InputError
+            When the scheduler or all workers are gone, or the task has killed several of them.
+        """
+        from distributed import KilledWorker
+
+        waits_since = time.monotonic()
+        while True:
+            try:
+                return future.result(_POLL_SECONDS)
+            except CancelledError as error:
+                raise self._lost() from error
+            except KilledWorker as error:
+                raise InputError(
+                    f"a frame has ended {_MAX_DEATHS} workers of the cluster; they lack memory"
+                ) from error
+            except TimeoutError:
+                if future.done():
+                    raise
+            workers = self._count_workers()
+            if workers:
+                waits_since = time.monotonic()
+            elif time.monotonic() - waits_since > _PATIENCE_SECONDS:
+                raise self._lost() if workers is None else self._idle()
+
+    def _count_workers(self) -> int | None:
+        """Return how many workers there are; None when the scheduler does not answer."""
+        # None while Dask tries to connect again.
+        scheduler = self._client.scheduler
+        if scheduler is not None:
+            with suppress(OSError):
+                identity = self._client.sync(scheduler.identity, callback_timeout=_ANSWER_SECONDS)
+                return len(identity["workers"])
+        return None
+
+    def _lost(self) -> InputError:
+        return InputError(f"the Dask scheduler at {self._address} does not answer any more")
+
+    def _idle(self) -> InputError:
+        return InputError(
+            f"the Dask scheduler at {self._address} has no workers; start one with "
+            f"`dask worker {self._address}`"
+        )
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: FBT001, FBT002
         """Wait for what was submitted, or cancel it."""
@@ -69,6 +138,7 @@ def connected(address: str) -> Iterator[Cluster]:
         import distributed
     except ImportError as error:
         raise InputError("--scheduler needs Dask: pip install slamcli[cluster]") from error
+    _silence()
     with dask.config.set(_QUIET):
         try:
             client: Any = distributed.Client(  # type: ignore[no-untyped-call]
@@ -79,8 +149,16 @@ def connected(address: str) -> Iterator[Cluster]:
                 f"no Dask scheduler answers at {address}; start one with `dask scheduler`, and "
                 "`dask worker ADDRESS` on every machine"
             ) from error
-        with client:
-            yield Cluster(client)
+        try:
+            yield Cluster(client, address)
+        finally:
+            client.close(timeout=_CLOSE_SECONDS)
+
+
+def _silence() -> None:
+    """Keep the logs of Dask off the terminal, also those that it writes after its end."""
+    for name in _LOGGERS:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 class _Wrapped:

@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import cv2
 
-from slamcli.run.session.cluster import connected
+from slamcli.run.session.cluster import Cluster, connected
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -41,17 +41,18 @@ def ordered(
     Raises
     ------
     InputError
-        When the cluster cannot be reached.
+        When the cluster cannot be reached, or is lost.
     """
     pending: deque[Future[Result]] = deque()
     with _alone(), _executor(workers, scheduler) as (executor, ahead):
+        result = executor.result if isinstance(executor, Cluster) else Future[Result].result
         try:
             for item in items:
                 pending.append(executor.submit(function, item))
                 if len(pending) > ahead:
-                    yield pending.popleft().result()
+                    yield result(pending.popleft())
             while pending:
-                yield pending.popleft().result()
+                yield result(pending.popleft())
         finally:
             for future in pending:
                 future.cancel()

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from slamcli.core.errors import InputError
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.checkpoints import Checkpoint
+from slamcli.io.frames import FrameFile
 from slamcli.io.map_file import MAP_NAME, save_map
 from slamcli.io.outputs import locked_folder, move_folder, remove_folder, staging_folder
 from slamcli.io.poses import write_poses
@@ -130,8 +132,32 @@ def _track_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> Loc
     The state is saved now and then, until a frame vanishes: a resumed run finds it again. From here
     on each file must keep the content that was read.
     """
-    schedule, thumbnails = resume.SaveSchedule(), Thumbnails()
-    files, mapper, vanished = list(drive.inputs.files), drive.mapper, list[str]()
+    thumbnails, vanished = Thumbnails(), list[str]()
+    files, mapper = list(drive.inputs.files), drive.mapper
+    try:
+        _locate(drive, files, thumbnails, vanished, checkpoint, session)
+    except InputError:
+        # The cluster is lost; what it located is not.
+        if mapper.estimates and not vanished:
+            resume.save(mapper, files, checkpoint)
+        raise
+    offset = feed_shifted(mapper, drive.telemetry) if drive.telemetry.find_time_offset else ""
+    finish(mapper, session)
+    drive = replace(drive, inputs=replace(drive.inputs, files=files))
+    registered = registration_of(mapper)
+    return LocatedDrive(drive, mapper, registered, thumbnails, tuple(vanished), offset)
+
+
+def _locate(
+    drive: Drive,
+    files: list[FrameFile],
+    thumbnails: Thumbnails,
+    vanished: list[str],
+    checkpoint: Checkpoint,
+    session: Session,
+) -> None:
+    """Pass the frames through the mapper; note each file's digest, and the names that vanished."""
+    mapper, schedule = drive.mapper, resume.SaveSchedule()
     missing = {file.index for file in files if not file.path.exists()}
     for prepared in run_mapper(mapper, files, session, thumbnails):
         done, file = prepared.index + 1, files[prepared.index]
@@ -145,11 +171,6 @@ def _track_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> Loc
             schedule.run(lambda: resume.save(mapper, files, checkpoint))
         if stop:
             break
-    offset = feed_shifted(mapper, drive.telemetry) if drive.telemetry.find_time_offset else ""
-    finish(mapper, session)
-    drive = replace(drive, inputs=replace(drive.inputs, files=files))
-    registered = registration_of(mapper)
-    return LocatedDrive(drive, mapper, registered, thumbnails, tuple(vanished), offset)
 
 
 def self_calibrate(located: LocatedDrive, session: Session) -> LocatedDrive:

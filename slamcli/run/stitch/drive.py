@@ -145,7 +145,7 @@ def open_drive(
         options = replace(options, mapper=extension.options(options.mapper))
     if session.scheduler:
         # The cluster's workers run in folders of their own.
-        absolute = [replace(file, path=file.path.resolve()) for file in inputs.files]
+        absolute = [replace(file, path=file.path.absolute()) for file in inputs.files]
         inputs = replace(inputs, files=absolute)
     telemetry = read_telemetry(telemetry_files, inputs)
     exports.check_exports(options.export, inputs.files, has_gps=bool(telemetry.gps))

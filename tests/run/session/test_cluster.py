@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
+import shutil
 import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -73,3 +79,98 @@ def test_where_no_scheduler_answers_is_told(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("slamcli.run.session.cluster._CONNECT_SECONDS", 0.2)
     with pytest.raises(InputError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         list(Session(1, "tcp://127.0.0.1:9").ordered(abs, [1, 2]))
+
+
+class Machines:
+    """A scheduler and a worker as processes of their own, and how the tests end them."""
+
+    def __init__(self, folder: Path, *, worker: bool) -> None:
+        self._file = folder / "scheduler.json"
+        self.scheduler = self._start("scheduler", "--scheduler-file", str(self._file))
+        deadline = time.monotonic() + 30
+        while not self._file.exists() or not self._file.read_text():
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        self.address: str = json.loads(self._file.read_text())["address"]
+        self.worker = None
+        if worker:
+            self.worker = self._start("worker", self.address, "--nthreads", "1", "--no-nanny")
+
+    @staticmethod
+    def _start(kind: str, *arguments: str) -> subprocess.Popen[bytes]:
+        words = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *arguments]
+        words += ["--host", "127.0.0.1", "--no-dashboard"]
+        if kind == "scheduler":
+            words += ["--port", "0"]
+        return subprocess.Popen(words, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+
+    def fail(self, how: str) -> None:
+        """Let the machines fail in one of the ways."""
+        if how == "workers dead":
+            assert self.worker is not None
+            self.worker.kill()
+        elif how == "scheduler dead":
+            self.scheduler.kill()
+        elif how == "scheduler hangs":
+            self.scheduler.send_signal(signal.SIGSTOP)
+
+    def end(self) -> None:
+        """End the processes."""
+        for process in filter(None, (self.scheduler, self.worker)):
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("how", "reason"),
+    [
+        ("no workers", "has no workers; start one with `dask worker tcp://"),
+        ("workers dead", "has no workers; start one with `dask worker tcp://"),
+        ("scheduler dead", "does not answer any more"),
+        ("scheduler hangs", "does not answer any more"),
+    ],
+)
+@pytest.mark.parametrize("stage", ["locating", "painting"])
+def test_a_cluster_that_fails_is_one_line_and_the_run_goes_on_without_it(
+    samples_folder: Path, tmp_path: Path, how: str, reason: str, stage: str
+) -> None:
+    if (how, stage) == ("no workers", "painting"):
+        pytest.skip("nothing is painted without workers")
+    drive = tmp_path / "drive"
+    drive.mkdir()
+    for index in range(FRAMES):
+        shutil.copy(samples_folder / "course" / "frames" / f"{index:04d}.jpg", drive)
+    shutil.copy(samples_folder / "course" / "camera.yaml", drive / "calibration.yaml")
+    machines = Machines(tmp_path, worker=how != "no workers")
+    output, command = tmp_path / "out", [sys.executable, "-m", "slamcli", "stitch"]
+    command += [str(drive), "-o", str(output), "--scheduler", machines.address]
+    command += ["--metres-per-pixel", "0.001"]
+    try:
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+            assert process.stderr is not None
+            started = time.monotonic()
+            if how != "no workers":
+                next(line for line in process.stderr if line.startswith(stage))
+                started = time.monotonic()
+                machines.fail(how)
+            said = process.stderr.read()
+        assert time.monotonic() - started < 30
+        assert process.returncode == 1
+        lines = [line for line in said.splitlines() if not re.match(r"[a-z ]+ \d+/\d+", line)]
+        assert reason in lines[-1], said
+        assert "Traceback" not in said
+    finally:
+        machines.end()
+    assert not list(output.glob(".partial-*"))
+    whole = tmp_path / "whole"
+    for folder, more in ((output, ["--resume"]), (whole, [])):
+        done = slam("stitch", drive, "-o", folder, "--metres-per-pixel", "0.001", *more)
+        assert done.exit_code == 0, done.output
+        if more and how != "no workers":
+            assert "frames had been located" in done.output
+    assert sorted(path.name for path in output.iterdir()) == sorted(
+        path.name for path in whole.iterdir()
+    )
+    for path in whole.iterdir():
+        assert path.read_bytes() == (output / path.name).read_bytes(), path.name
