@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+import sys
+
+from slamcli.cli.streams import LenientStream, replace_streams
 
 
 def main() -> None:
     """Run the command line."""
+    output = replace_streams()
     # Frames already occupy all processors, so that the linear algebra's own threads only wait for
     # one another. numpy reads this as it is loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -15,4 +19,18 @@ def main() -> None:
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     from slamcli.cli.main import main as command_line
 
-    command_line(prog_name="slam")
+    try:
+        command_line(prog_name="slam")
+    except SystemExit as end:
+        end.code = _exit_code(end.code, output)
+        raise
+
+
+def _exit_code(code: object, output: LenientStream | None) -> int | str | None:
+    """Return the exit code: an error when what was to be printed is lost."""
+    if output is not None:
+        sys.stdout.flush()
+        if output.fault is not None and not code:
+            sys.stderr.write(f"Error: cannot print the result: {output.fault.strerror}\n")
+            return 1
+    return code if isinstance(code, int | str) else None
