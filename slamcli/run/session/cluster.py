@@ -28,7 +28,7 @@ _POLL_SECONDS, _ANSWER_SECONDS, _CLOSE_SECONDS = 1.0, 5, 2
 # A frame that kills more workers than this fails the run.
 _MAX_DEATHS = 4
 # What they log about a lost connection is one line of this program.
-_LOGGERS = ("distributed", "distributed.client", "tornado", "asyncio")
+_LOGGERS = ("distributed", "distributed.client", "tornado.application", "asyncio")
 
 Result = TypeVar("Result")
 
