@@ -161,7 +161,7 @@ def test_help_and_version_load_neither_heavy_libraries_nor_any_command(flag: str
     assert not HEAVY & loaded
     own = {name for name in loaded if name.startswith("slamcli.")}
     assert own <= {
-        *("slamcli.cli", "slamcli.cli.entry", "slamcli.cli.main"),
+        *("slamcli.cli", "slamcli.cli.entry", "slamcli.cli.main", "slamcli.cli.streams"),
         *("slamcli.core", "slamcli.core.errors", "slamcli.core.exit_codes"),
     }
 
