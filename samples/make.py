@@ -7,6 +7,9 @@ Appendix A, drawn here, each with a transform known exactly.
 from __future__ import annotations
 
 import math
+import shutil
+import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -262,6 +265,11 @@ def make_facade(generator: np.random.Generator) -> tuple[Picture, Picture, tuple
 def main() -> None:
     """Write samples/course and samples/appendix_a."""
     simulate(FOLDER / "course", COURSE, overwrite=True, session=Session(workers=2))
+    with tempfile.TemporaryDirectory() as folder:
+        # Where half of the light lies is where its edges are, as `slam calibrate` has it.
+        photographed = replace(COURSE, frames=1, imaging=ImagingOptions())
+        simulate(Path(folder) / "square", photographed, overwrite=True, session=Session(workers=1))
+        shutil.copy(Path(folder) / "square" / "square.png", FOLDER / "course")
     rows = ["first,second,scale,rotation_degrees,x,y"]
     pairs = (
         ("figure", "field", make_figure_in_field),

@@ -10,7 +10,7 @@ import click
 
 from slamcli.cli.options import common
 from slamcli.cli.options.fields import filled, option, stacked
-from slamcli.cli.options.values import PATH, POSITIVE, Numbers
+from slamcli.cli.options.values import PATH, POSITIVE, Gamma, Numbers
 from slamcli.core.bounds import MAX_IMAGE_SIDE, Bounds
 
 _target = partial(option, "CalibrateOptions")
@@ -52,6 +52,13 @@ _target_options = stacked(
         "--intrinsics",
         PATH,
         "The lens (camera matrix and distortion): a ROS camera_info YAML.",
+    ),
+    _target(
+        "gamma",
+        "--gamma",
+        Gamma(),
+        "How the photo's values encode light: edges lie where half of the light does.",
+        default="srgb",
     ),
 )
 

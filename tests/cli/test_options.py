@@ -33,6 +33,7 @@ TEXTS = {
     "--lever-arm": "1,2",
     "--scheduler": "tcp://here:1",
     "--chessboard": "8x6",
+    "--gamma": "2.2",
     "--network-size": "640x480",
     "--first-level": "1",
     "--rotate": "30",

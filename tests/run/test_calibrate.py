@@ -24,6 +24,7 @@ from slamcli.run.calibrate import CalibrateOptions
 from slamcli.run.calibrate import calibrate as run_calibrate
 from slamcli.run.calibrate.mountings import choose_best, floor_areas
 from slamcli.stages import calibrate
+from slamcli.stages.calibrate import board
 
 SQUARE = CalibrateOptions(side_metres=SIDE_METRES)
 
@@ -182,11 +183,15 @@ def test_impossible_corners_are_refused(corners: list[tuple[float, float]], mess
         calibrate.sort_corners(corners, (640, 480))
 
 
+# Of a chessboard's field in the square that it is printed on.
+FIELD_SHARE = 44 / 500
+
+
 @cache
 def chessboard_sheet() -> np.ndarray:
     fields = np.indices((7, 9)).sum(axis=0) % 2
-    board = np.kron(fields, np.ones((45, 45), int)) * 255
-    return np.pad(board, ((92, 93), (47, 48)), constant_values=255)
+    board = np.kron(fields, np.ones((44, 44), int)) * 255
+    return np.pad(board, ((96, 96), (52, 52)), constant_values=255)
 
 
 @cache
@@ -199,9 +204,31 @@ def marker_sheet() -> np.ndarray:
 
 def test_a_chessboard_calibrates(tmp_path: Path) -> None:
     photo = Photo(yaw=12.0, roll=2.0, noise=2.0, sheet=chessboard_sheet())
-    calibration = run(photo, tmp_path, CalibrateOptions(SIDE_METRES * 45 / 500, chessboard=(8, 6)))
+    calibration = run(
+        photo, tmp_path, CalibrateOptions(SIDE_METRES * FIELD_SHARE, chessboard=(8, 6))
+    )
     assert floor_distance_errors(photo, calibration).max() < 0.01
     assert calibration.height_metres == pytest.approx(photo.height, rel=0.01)
+
+
+def test_crossings_are_found_to_a_fiftieth_of_a_pixel_however_small_the_fields() -> None:
+    for photo in (
+        Photo(yaw=12.0, roll=2.0, noise=2.0, blur=0.7, sharpening=0.5, sheet=chessboard_sheet()),
+        Photo(yaw=12.0, centre=(0.65, 0.0), noise=1.0, blur=0.7, sheet=chessboard_sheet()),
+    ):
+        target, pixels, covariance = board.find_chessboard(render(photo), 8, 6, FIELD_SHARE)
+        points = calibrate.FloorPoints(target * photo.side, pixels, covariance)
+        mounting = calibrate.solve_mounting(points, photo.size)
+        grid = (target - target.mean(axis=0)) * photo.side
+        errors = []
+        for turn in range(4):
+            floor = grid @ rotation(photo.yaw + 90.0 * turn).T + photo.centre
+            seen = apply_homography(photo.image_from_robot, floor)
+            errors.append(np.linalg.norm(seen - pixels, axis=1))
+        best = min(errors, key=lambda error: float(error.max()))
+        assert np.median(best) < 0.02
+        assert best.max() < 0.1
+        assert mounting.height_metres == pytest.approx(photo.height, rel=0.003)
 
 
 def test_an_aruco_marker_calibrates(tmp_path: Path) -> None:
@@ -348,6 +375,8 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path: Path) -> None:
 def test_a_malformed_option_is_a_usage_error(tmp_path: Path) -> None:
     photo = str(blank_photo(tmp_path))
     for option in (
+        ["--gamma", "rec709"],
+        ["--gamma", "0"],
         ["--corners", "1,2 3,4"],
         ["--corners", "a,b c,d e,f g,h"],
         ["--chessboard", "8"],

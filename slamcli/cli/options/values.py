@@ -172,6 +172,25 @@ class Words(Value):
         return ",".join(value)
 
 
+class Gamma(Value):
+    """How a picture encodes light: srgb, linear, or the exponent of a power."""
+
+    name = "srgb|linear|number"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Return the word, or the exponent."""
+        if value in ("srgb", "linear"):
+            return value
+        exponent: float = click.FLOAT.convert(value, param, ctx)
+        if not 0.2 <= exponent <= 5.0:
+            self.fail(f"{value!r} is neither srgb, linear nor a number such as 2.2", param, ctx)
+        return exponent
+
+    def text(self, value: Any) -> str:
+        """Return the word, or the exponent."""
+        return str(value)
+
+
 class Bytes(Value):
     """An amount of memory, such as 500M or 2G."""
 

@@ -17,6 +17,7 @@ from slamcli.core.camera.resolution import resolution_image
 from slamcli.core.config import FeatureOptions
 from slamcli.core.errors import CalibrationError, FrameError, InputError, SlamcliError
 from slamcli.core.geometry import Pose2, apply_homography
+from slamcli.core.light import Gamma
 from slamcli.core.records import Frame
 from slamcli.drawing.calibration import birdseye_grid, draw_calibration
 from slamcli.io.calibrations import CalibrationSource, load_intrinsics, save_calibration
@@ -68,6 +69,8 @@ class CalibrateOptions:
         ROS camera_info.
     max_range_metres : float or None
         Far limit; chosen by the sampling when None.
+    gamma : Gamma
+        How the photos' values encode light.
     """
 
     side_metres: float
@@ -77,6 +80,7 @@ class CalibrateOptions:
     marker: str | None = None
     intrinsics_path: Path | None = None
     max_range_metres: float | None = None
+    gamma: Gamma = "srgb"
 
 
 def calibrate(
@@ -156,7 +160,7 @@ def _calibrate(photo: Path, options: CalibrateOptions, intrinsics: Intrinsics | 
             f"{photo} has {size[0]}x{size[1]} pixels, but {options.intrinsics_path} is for "
             f"{intrinsics.image_size[0]}x{intrinsics.image_size[1]}"
         )
-    target = _find_target(image, options, intrinsics)
+    target = find_target(image, options, intrinsics)
     if intrinsics is None:
         mounting = solving.solve_mounting(target.points, size)
     else:
@@ -175,7 +179,7 @@ def _calibrate(photo: Path, options: CalibrateOptions, intrinsics: Intrinsics | 
     )
 
 
-def _find_target(
+def find_target(
     image: UInt8Array, options: CalibrateOptions, intrinsics: Intrinsics | None
 ) -> Target:
     """Return the chessboard, the marker, the given corners or the square found in a photo."""
@@ -188,13 +192,15 @@ def _find_target(
     name = "square"
     notes: list[str] = []
     if options.corners is not None:
-        found = square.refine_square(image, solving.sort_corners(options.corners, size), lens)
+        found = square.refine_square(
+            image, solving.sort_corners(options.corners, size), lens, options.gamma
+        )
     elif options.marker is not None:
         marker, number = board.find_marker(image, options.marker)
-        found = square.refine_square(image, solving.sort_corners(marker, size), lens)
+        found = square.refine_square(image, solving.sort_corners(marker, size), lens, options.gamma)
         name = f"aruco {options.marker.lower()} {number}"
     else:
-        found, notes = _search_square(image, intrinsics)
+        found, notes = _search_square(image, intrinsics, options.gamma)
     notes += _bow_note(found, intrinsics)
     points = solving.FloorPoints(
         solving.square_target(options.side_metres), found.quad.corners, found.quad.covariance
@@ -205,8 +211,9 @@ def _find_target(
 def _chessboard(image: UInt8Array, options: CalibrateOptions, lens: Lens) -> Target:
     assert options.chessboard is not None
     columns, rows = (round(count) for count in options.chessboard)
-    grid, pixels = board.find_chessboard(image, columns, rows, options.side_metres)
-    covariance = np.eye(2 * len(grid)) * board.CHESSBOARD_SIGMA_PIXELS**2
+    grid, pixels, covariance = board.find_chessboard(
+        image, columns, rows, options.side_metres, options.gamma
+    )
     points = solving.FloorPoints(grid, undistort_points(lens, pixels), covariance)
     ends = [0, columns - 1, columns * rows - 1, columns * (rows - 1)]
     return Target(f"chessboard {columns}x{rows}", points, pixels[ends], ())
@@ -220,7 +227,7 @@ def _given_corners(corners: Float64Array, options: CalibrateOptions, lens: Lens)
 
 
 def _search_square(
-    image: UInt8Array, intrinsics: Intrinsics | None
+    image: UInt8Array, intrinsics: Intrinsics | None, gamma: Gamma
 ) -> tuple[square.Square, list[str]]:
     """Return the square found in a photo, and a note where another may be meant."""
     size = (image.shape[1], image.shape[0])
@@ -231,7 +238,7 @@ def _search_square(
         tolerance_pixels=_TOLERANCE_SHARE * size[0],
     )
     lens = intrinsics or _plain_lens(size)
-    found, *others = square.find_squares(image, lens, squareness)
+    found, *others = square.find_squares(image, lens, squareness, gamma)
     return found, [
         f"there is another square, {other.score / found.score:.0%} as good; if that one is the "
         f'target, give --corners "{corner_text(other.corners)}"'

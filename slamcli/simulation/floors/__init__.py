@@ -16,9 +16,9 @@ import numpy as np
 
 from slamcli.core.arrays import UInt8Array, UInt16Array
 from slamcli.core.geometry import Grid
+from slamcli.core.light import light_in_16_bits
 from slamcli.simulation.config import FloorOptions
 from slamcli.simulation.floors import course, laid, paper, poured
-from slamcli.simulation.light import light_from_encoded
 
 BLOCK_PIXELS = 512
 # Enough for the floor before a robot; older blocks are made again when it comes back.
@@ -109,7 +109,7 @@ class BlockFloor:
         span = BLOCK_PIXELS * self.metres_per_pixel
         grid = Grid(column * span, -row * span, self.metres_per_pixel, BLOCK_PIXELS, BLOCK_PIXELS)
         block = self._make_block(grid)
-        levels: list[Texture] = [light_from_encoded(block) if self.in_light else block]
+        levels: list[Texture] = [light_in_16_bits(block) if self.in_light else block]
         for _ in range(_LEVELS):
             half = levels[-1].shape[0] // 2
             smaller = cv2.resize(levels[-1], (half, half), interpolation=cv2.INTER_AREA)

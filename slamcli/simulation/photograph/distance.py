@@ -10,8 +10,8 @@ import numpy as np
 from slamcli.core.arrays import BoolArray, Float32Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Grid, Pose2
+from slamcli.core.light import light_of_gray
 from slamcli.simulation.floors import MAX_LEVEL, Floor, Texture
-from slamcli.simulation.light import light_of_gray
 from slamcli.simulation.photograph.decals import draw_decals
 from slamcli.simulation.photograph.world import Room, World
 

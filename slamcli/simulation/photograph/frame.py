@@ -14,8 +14,8 @@ import numpy as np
 from slamcli.core.arrays import Float32Array, UInt8Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Pose2
+from slamcli.core.light import light_of_gray
 from slamcli.simulation.config import DisturbanceOptions, ImagingOptions
-from slamcli.simulation.light import light_of_gray
 from slamcli.simulation.photograph import imaging
 from slamcli.simulation.photograph.boxes import draw_boxes
 from slamcli.simulation.photograph.camera import tilted

@@ -14,8 +14,8 @@ import numpy as np
 
 from slamcli.core.arrays import Float32Array, UInt8Array
 from slamcli.core.camera.lens import image_centre
+from slamcli.core.light import SATURATION, encode
 from slamcli.simulation.config import ImagingOptions
-from slamcli.simulation.light import SATURATION, encode
 
 # A gray card is exposed to this share of saturation (ISO 2720's mid-tone).
 _MID_TONE = 0.18

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from slamcli.core.arrays import Float32Array, Float64Array
 from slamcli.core.camera.lens import Lens, undistort_points
@@ -17,12 +17,18 @@ from slamcli.stages.square.profiles import (
     PROFILE_STEP_PIXELS,
     blur_window,
     locate_edges,
-    measure_polarity,
+    locate_edges_roughly,
+    measure_step,
     read_profiles,
 )
 
 _COARSE_BOX_PIXELS = 2.0
+_ROUGH_ROUNDS = 2
 _FINE_ROUNDS = 3
+# How far from the line the transition reaches, once its blur is known: what lies farther out may
+# be another edge [benchmarks/calibration_targets.py].
+_WINDOW_BLURS = 3.0
+_WINDOW_MARGIN_PIXELS = 1.0
 _MIN_INLIER_SHARE = 0.4
 
 
@@ -38,8 +44,6 @@ class EdgedQuad:
         Of the corners (x0, y0, x1, ...), pixels squared; neighbours share a side, so it is full.
     support : float
         Share of the profiles, on the whole and on the worst side alike, that show the side.
-    contrast : float
-        Gray levels from outside to inside; negative when the inside is darker.
     bow_pixels : float
         Largest sagitta of a side: an unknown lens bends them.
     residual_pixels : float
@@ -49,9 +53,18 @@ class EdgedQuad:
     corners: Float64Array
     covariance: Float64Array
     support: float
-    contrast: float
     bow_pixels: float
     residual_pixels: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """How a side is read: how far from it, its sign of step, its sagitta so far, how exactly."""
+
+    window_pixels: float
+    polarity: float
+    bow_pixels: float
+    rough: bool
 
 
 def refine_quad(
@@ -62,6 +75,7 @@ def refine_quad(
     Parameters
     ----------
     image : (H, W) float32
+        Light.
     corners : (4, 2)
         Undistorted pixels, clockwise in the picture.
     lens : Lens
@@ -75,15 +89,19 @@ def refine_quad(
         None when a side shows no edge.
     """
     quad = corners
-    polarity = measure_polarity(image, quad, lens, reach_pixels)
+    polarity = math.copysign(1.0, measure_step(image, quad, lens, reach_pixels))
     window = reach_pixels
-    for round_number in range(1 + _FINE_ROUNDS):
+    sides: list[Side] = []
+    for round_number in range(1 + _ROUGH_ROUNDS + _FINE_ROUNDS):
+        bows = [side.bow_pixels for side in sides]
         sides = []
         for index in range(4):
             if round_number == 0:
                 side = _coarse_side(image, quad, index, lens, window, polarity)
             else:
-                side = _fine_side(image, quad, index, lens, window, polarity)
+                rough = round_number <= _ROUGH_ROUNDS
+                reading = _Reading(window, polarity, bows[index], rough)
+                side = _fine_side(image, quad, index, lens, reading)
             if side is None or side.support < _MIN_INLIER_SHARE:
                 return None
             sides.append(side)
@@ -93,6 +111,9 @@ def refine_quad(
             return None
         if round_number == 0:
             window = blur_window(image, quad, lens, reach_pixels)
+        else:
+            blur = max(side.blur_pixels for side in sides)
+            window = min(window, _WINDOW_BLURS * blur + _WINDOW_MARGIN_PIXELS)
     # Sides that are bent although the lens is known are not straight on the floor.
     bent = not np.any(lens.distortion)
     return _assemble(_follow_bow(quad, sides) if bent else quad, sides)
@@ -137,15 +158,13 @@ def _coarse_side(
     height = step[np.arange(len(step)), best]
     offsets = profiles.offsets[best + width]
     typical = float(np.median(height[profiles.usable]))
-    good = profiles.usable & (height > 0.4 * typical) & (height > 2.0)
+    good = profiles.usable & (height > 0.4 * typical) & (height > profiles.min_step)
     if good.sum() < MIN_PROFILES // 2:
         return None
     edge = profiles.origins + profiles.normals * offsets[:, None]
     points = undistort_points(lens, edge)[good]
     weights = ransac_weights(points)
-    return fit_side(
-        points, weights, len(profiles.usable), polarity * typical, float(image.shape[1])
-    )
+    return fit_side(points, weights, len(profiles.usable), float(image.shape[1]))
 
 
 def _fine_side(
@@ -153,35 +172,34 @@ def _fine_side(
     quad: Float64Array,
     index: int,
     lens: Lens,
-    window: float,
-    polarity: float,
+    reading: _Reading,
 ) -> Side | None:
-    """Read the edge of each profile off its integral and fit the line with Tukey's weights."""
-    profiles = read_profiles(image, quad, index, lens, window + LEVEL_PIXELS)
+    """Place the edge in each profile by `locate_edges`, and a line with Tukey's weights."""
+    profiles = read_profiles(
+        image, quad, index, lens, reading.window_pixels + LEVEL_PIXELS, reading.bow_pixels
+    )
     if profiles is None:
         return None
-    levels = round(LEVEL_PIXELS / PROFILE_STEP_PIXELS)
-    # The mean of a few neighbours has the gray levels of the two sides with less noise.
-    inside = uniform_filter1d(profiles.values[:, :levels].mean(axis=1), 5, mode="nearest")
-    outside = uniform_filter1d(profiles.values[:, -levels:].mean(axis=1), 5, mode="nearest")
-    contrast = (inside - outside) * polarity
-    typical = float(np.median(contrast[profiles.usable]))
-    if typical < 2.0:
+    usable = np.flatnonzero(profiles.usable)
+    locate = locate_edges_roughly if reading.rough else locate_edges
+    found = locate(profiles.values[usable], profiles.offsets)
+    contrast = found.steps * reading.polarity
+    typical = float(np.median(contrast))
+    if typical < profiles.min_step:
         return None
-    good = profiles.usable & (contrast > 0.6 * typical) & (contrast < 1.6 * typical)
+    good = (
+        (contrast > 0.6 * typical)
+        & (contrast < 1.6 * typical)
+        & (np.abs(found.places) < reading.window_pixels)
+    )
     if good.sum() < MIN_PROFILES // 2:
         return None
-    core = profiles.values[:, levels:-levels]
-    share = (core - outside[:, None])[good] / (inside - outside)[good, None]
-    position = locate_edges(share, profiles.offsets[levels:-levels])
-    near = np.abs(position) < window
-    if near.sum() < MIN_PROFILES // 2:
-        return None
-    edge = (profiles.origins[good] + profiles.normals[good] * position[:, None])[near]
+    places = found.places[good, None]
+    kept = usable[good]
+    edge = profiles.origins[kept] + profiles.normals[kept] * places
     points = undistort_points(lens, edge)
-    return fit_side_robustly(
-        points, int(profiles.usable.sum()), polarity * typical, float(image.shape[1])
-    )
+    side = fit_side_robustly(points, len(usable), float(image.shape[1]))
+    return replace(side, blur_pixels=found.blur_pixels)
 
 
 def _assemble(quad: Float64Array, sides: list[Side]) -> EdgedQuad:
@@ -208,7 +226,6 @@ def _assemble(quad: Float64Array, sides: list[Side]) -> EdgedQuad:
         corners=quad,
         covariance=jacobian @ lines @ jacobian.T + bent,
         support=float(0.5 * (supports.min() + supports.mean())),
-        contrast=float(np.mean([side.contrast for side in sides])),
         bow_pixels=bow,
         residual_pixels=float(np.sqrt(np.mean([side.residual_pixels**2 for side in sides]))),
     )

@@ -41,9 +41,9 @@ class Side:
     half_length: float
     covariance: Float64Array
     support: float
-    contrast: float
     bow_pixels: float
     residual_pixels: float
+    blur_pixels: float = 0.0
 
     @property
     def line(self) -> Float64Array:
@@ -55,7 +55,6 @@ def fit_side(
     points: Float64Array,
     weights: Float64Array,
     total: int,
-    contrast: float,
     width_pixels: float,
 ) -> Side:
     """Fit one line by weighted total least squares, with the covariance of its place and slope.
@@ -66,8 +65,6 @@ def fit_side(
         Undistorted pixels.
     total : int
         Profiles that were read to get the points.
-    contrast : float
-        Gray levels, passed on.
     width_pixels : float
         Of the picture, by which a usual lens bends a line of some length.
     """
@@ -95,15 +92,12 @@ def fit_side(
         half_length=half_length,
         covariance=np.diag([shift, slope]),
         support=float((weights > 0.2).sum()) / total,
-        contrast=contrast,
         bow_pixels=bow,
         residual_pixels=math.sqrt(variance),
     )
 
 
-def fit_side_robustly(
-    points: Float64Array, total: int, contrast: float, width_pixels: float
-) -> Side:
+def fit_side_robustly(points: Float64Array, total: int, width_pixels: float) -> Side:
     """Fit one line as `fit_side` does, with Tukey's weights."""
     weights = np.ones(len(points))
     for _ in range(_REWEIGHTINGS):
@@ -111,7 +105,7 @@ def fit_side_robustly(
         distance = (points - centre) @ np.array([direction[1], -direction[0]])
         scale = max(SIGMA_PER_MAD * float(np.median(np.abs(distance))), _MIN_SCALE_PIXELS)
         weights = np.clip(1.0 - (distance / (_TUKEY_SIGMAS * scale)) ** 2, 0.0, None) ** 2
-    return fit_side(points, weights, total, contrast, width_pixels)
+    return fit_side(points, weights, total, width_pixels)
 
 
 def _fit_line(points: Float64Array, weights: Float64Array) -> tuple[Float64Array, Float64Array]:

@@ -9,11 +9,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from slamcli.core.arrays import Float64Array, UInt8Array
+from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array
 from slamcli.core.camera.lens import Lens, distort_points, undistort_points
 from slamcli.core.errors import CalibrationError
+from slamcli.core.light import Gamma, light_of_image
 from slamcli.stages.square.candidates import find_candidates, inner_radius, quad_area, same_quad
+from slamcli.stages.square.edge_bias import correct_bias
 from slamcli.stages.square.edges import EdgedQuad, refine_quad
+from slamcli.stages.square.profiles import measure_step
 
 # How well (4, 2) undistorted corners may be a square on the floor, in [0, 1].
 Squareness = Callable[[Float64Array], float]
@@ -35,6 +38,8 @@ _MIN_RADIUS_PIXELS = 4.0
 _FULL_CONTRAST_GRAY = 40.0
 _FULL_SHARE = 0.1
 _COLOURED_GRAY_LEVELS = 25.0
+# The luminance has less noise than its channels: one of these must show so much more of a step.
+_LUMINANCE_GAIN = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +61,9 @@ class Square:
     score: float
 
 
-def find_squares(image: UInt8Array, lens: Lens, squareness: Squareness) -> tuple[Square, ...]:
+def find_squares(
+    image: UInt8Array, lens: Lens, squareness: Squareness, gamma: Gamma = "srgb"
+) -> tuple[Square, ...]:
     """Return the square that is best supported, and any other that comes near it, best first.
 
     Parameters
@@ -66,29 +73,46 @@ def find_squares(image: UInt8Array, lens: Lens, squareness: Squareness) -> tuple
         Its distortion, to fit straight sides; the camera matrix may be a guess where that is zero.
     squareness : callable
         How well undistorted corners may be a square on the floor, in [0, 1].
+    gamma : Gamma
+        How the picture's values encode light.
 
     Raises
     ------
     CalibrationError
         When no quadrilateral in the picture can be the square.
     """
-    luminance = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    planes = [luminance]
-    if _is_coloured(image):
-        # A square of another colour but like luminance shows in at least one of the channels.
-        planes += [image[..., 2], image[..., 1], image[..., 0]]
-    for plane in planes:
-        found = _squares_in(np.ascontiguousarray(plane), lens, squareness)
+    planes = _planes(image, gamma)
+    for plane, exact in planes:
+        found = _squares_in(plane, exact, lens, squareness)
         if found:
-            near = [square for square in found if square.score >= _RUNNER_UP_SHARE * found[0].score]
-            return tuple(near)
+            return tuple(
+                _finished(square, planes, lens, gamma)
+                for square in found
+                if square.score >= _RUNNER_UP_SHARE * found[0].score
+            )
     raise CalibrationError(
         "no square found on the floor in the photo; give its four corners with "
         '--corners "x,y x,y x,y x,y"'
     )
 
 
-def refine_square(image: UInt8Array, corners: Float64Array, lens: Lens) -> Square:
+def _planes(image: UInt8Array, gamma: Gamma) -> list[tuple[UInt8Array, Float32Array]]:
+    """Return the luminance, and of a coloured picture its channels, as codes and as light."""
+    light = light_of_image(image, gamma)
+    luminance = np.asarray(cv2.cvtColor(light, cv2.COLOR_BGR2GRAY), np.float32)
+    planes = [(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8), luminance)]
+    if _is_coloured(image):
+        # A square of another colour but like luminance shows in at least one of the channels.
+        planes += [
+            (np.ascontiguousarray(image[..., channel]), np.ascontiguousarray(light[..., channel]))
+            for channel in (2, 1, 0)
+        ]
+    return planes
+
+
+def refine_square(
+    image: UInt8Array, corners: Float64Array, lens: Lens, gamma: Gamma = "srgb"
+) -> Square:
     """Return the square whose corners were given, moved to the edges of the picture nearby.
 
     Parameters
@@ -96,24 +120,47 @@ def refine_square(image: UInt8Array, corners: Float64Array, lens: Lens) -> Squar
     image : (H, W, 3) uint8, BGR
     corners : (4, 2)
         Pixels of the picture, clockwise, within about three pixels of the truth.
+    lens : Lens
+    gamma : Gamma
+        How the picture's values encode light.
 
     Raises
     ------
     CalibrationError
         When a side shows no edge there.
     """
-    luminance = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
     undistorted = undistort_points(lens, corners)
-    quad = refine_quad(luminance, undistorted, lens, 4.0)
+    planes = _planes(image, gamma)
+    quad = refine_quad(planes[0][1], undistorted, lens, 4.0)
     if quad is None:
         raise CalibrationError(
             "no edges found along the sides between the given corners; check --corners, or leave "
             "out --refine to use them as they are"
         )
-    return Square(distort_points(lens, quad.corners), quad, quad.support)
+    found = Square(distort_points(lens, quad.corners), quad, quad.support)
+    return _finished(found, planes, lens, gamma)
 
 
-def _squares_in(plane: UInt8Array, lens: Lens, squareness: Squareness) -> list[Square]:
+def _finished(
+    square: Square, planes: list[tuple[UInt8Array, Float32Array]], lens: Lens, gamma: Gamma
+) -> Square:
+    """Return the square as the plane that shows it best has it, without the camera's bias."""
+    found, corners = square.quad, square.quad.corners
+    steps = [
+        abs(measure_step(plane.astype(np.float32), corners, lens, _REACH_PIXELS))
+        for plane, _ in planes
+    ]
+    best = int(np.argmax([steps[0] * _LUMINANCE_GAIN, *steps[1:]]))
+    if best > 0:
+        found = refine_quad(planes[best][1], corners, lens, _REACH_PIXELS) or found
+    plane = planes[best][0].astype(np.float32)
+    quad = correct_bias(plane, found, lens, gamma)
+    return Square(distort_points(lens, quad.corners), quad, square.score)
+
+
+def _squares_in(
+    plane: UInt8Array, exact: Float32Array, lens: Lens, squareness: Squareness
+) -> list[Square]:
     height, width = plane.shape
     shrink = max(1.0, width / _SEARCH_WIDTH_PIXELS)
     small = plane
@@ -121,7 +168,7 @@ def _squares_in(plane: UInt8Array, lens: Lens, squareness: Squareness) -> list[S
         size = (round(width / shrink), round(height / shrink))
         small = np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     quads, supports = find_candidates(small, _MAX_CANDIDATES)
-    exact = plane.astype(np.float32)
+    codes = plane.astype(np.float32)
     found: list[Square] = []
     for quad, support in zip(_enlarge(quads, shrink), supports, strict=True):
         undistorted = undistort_points(lens, quad)
@@ -133,7 +180,8 @@ def _squares_in(plane: UInt8Array, lens: Lens, squareness: Squareness) -> list[S
         corners = distort_points(lens, edged.corners)
         if np.any(corners < 0) or np.any(corners > (width - 1, height - 1)):
             continue
-        score = _score(edged, width * height, squareness)
+        contrast = measure_step(codes, edged.corners, lens, _REACH_PIXELS * shrink)
+        score = _score(edged, contrast, width * height, squareness)
         if score >= _MIN_SCORE:
             found.append(_from_upper_left(corners, edged, score))
     return _distinct(found)
@@ -145,15 +193,17 @@ def _is_coloured(image: UInt8Array) -> bool:
     return float(np.ptp(small, axis=2).max()) > _COLOURED_GRAY_LEVELS
 
 
-def _score(quad: EdgedQuad, picture_area: int, squareness: Squareness) -> float:
+def _score(quad: EdgedQuad, contrast: float, picture_area: int, squareness: Squareness) -> float:
     """Return the product of a quadrilateral's support, contrast, size and squareness, in [0, 1].
+
+    Contrast is in gray levels, as the eye and the encoded picture have them.
 
     Size counts, as the larger of two similar squares determines the camera better.
     """
     share = float(quad_area(quad.corners)) / picture_area
     size = min(1.0, (share / _FULL_SHARE) ** 0.4)
-    contrast = min(1.0, abs(quad.contrast) / _FULL_CONTRAST_GRAY)
-    score: float = quad.support**2 * contrast * size * squareness(quad.corners)
+    full = min(1.0, abs(contrast) / _FULL_CONTRAST_GRAY)
+    score: float = quad.support**2 * full * size * squareness(quad.corners)
     return score
 
 
@@ -170,7 +220,6 @@ def _from_upper_left(corners: Float64Array, quad: EdgedQuad, score: float) -> Sq
         corners=np.roll(quad.corners, turn, axis=0),
         covariance=np.roll(quad.covariance, (2 * turn, 2 * turn), axis=(0, 1)),
         support=quad.support,
-        contrast=quad.contrast,
         bow_pixels=quad.bow_pixels,
         residual_pixels=quad.residual_pixels,
     )
