@@ -16,7 +16,7 @@ from slamcli.cli.options.mapping import mapper_options
 from slamcli.cli.options.matching import matching_details, ratio
 from slamcli.cli.options.products import product_options
 from slamcli.cli.options.telemetry import telemetry_options
-from slamcli.cli.options.values import PATH, Number, Words
+from slamcli.cli.options.values import PATH, POSITIVE, Number, Words
 from slamcli.core.bounds import HERTZ
 from slamcli.core.config import MapperOptions, MatchOptions
 from slamcli.core.telemetry import TelemetryOptions
@@ -40,6 +40,13 @@ _frame_options = stacked(
         "How a camera without a calibration is carried: rigid, always at one height and straight "
         "down; free, with height and tilt that vary; auto finds out.",
         default="auto",
+    ),
+    _stitch(
+        "height_metres",
+        "--height",
+        POSITIVE,
+        "Metres: height of a camera without a calibration that looks ahead, which gives its map "
+        "the scale.",
     ),
     _stitch("debug", "--debug", text="Also draw every frame's matches, in matches/.", is_flag=True),
     _stitch(

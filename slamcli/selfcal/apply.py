@@ -96,7 +96,7 @@ def describe_change(before: Calibration, after: Calibration) -> str:
         f"focal length {focal[0]:.1f} to {focal[1]:.1f} ± {after.focal_sigma_pixels:.1f} px, "
         f"radial distortion {lens[0]} to {lens[1]}, "
         f"principal point moved by {centre[0]:.1f}, {centre[1]:.1f} px, "
-        f"height {height[0]:.1f} to {height[1]:.1f} mm, "
+        f"{'' if after.unit == 'h' else f'height {height[0]:.1f} to {height[1]:.1f} mm, '}"
         f"pitch {pitch[0]:.2f} to {pitch[1]:.2f} ± {math.degrees(after.pitch_sigma_radians):.2g}°, "
         f"roll {roll[0]:.2f} to {roll[1]:.2f} ± {math.degrees(after.roll_sigma_radians):.2g}°"
     )

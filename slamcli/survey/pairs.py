@@ -66,16 +66,21 @@ def coarse_votes(first: SurveyFeatures, second: SurveyFeatures) -> int:
     return len(_mutual(a, b, _COARSE_RATIO)[0])
 
 
+def match(first: SurveyFeatures, second: SurveyFeatures) -> tuple[Float64Array, Float64Array]:
+    """Return (N, 2) pixels of the matches of two frames in each of them, from their middles."""
+    rows, columns = _mutual(first.descriptors, second.descriptors, _RATIO)
+    return first.pixels[rows], second.pixels[columns]
+
+
 def find_pair(a: int, b: int, first: SurveyFeatures, second: SurveyFeatures) -> Pair:
     """Return the pair of two frames, or the reason why they are none."""
-    rows, columns = _mutual(first.descriptors, second.descriptors, _RATIO)
-    points_a, points_b = first.pixels[rows], second.pixels[columns]
+    points_a, points_b = match(first, second)
 
     def rejected(reason: str, inliers: int, correlation: float = 0.0) -> Pair:
         return Pair(a, b, np.eye(3), points_a[:0], points_b[:0], inliers, correlation, reason)
 
-    if len(rows) < _MIN_INLIERS:
-        return rejected("too few matches", len(rows))
+    if len(points_a) < _MIN_INLIERS:
+        return rejected("too few matches", len(points_a))
     threshold = max(_MIN_THRESHOLD_PIXELS, _THRESHOLD_SHARE * max(*first.size, *second.size))
     a_from_b, inliers = _motion(points_a, points_b, threshold)
     count = int(inliers.sum())
@@ -135,7 +140,7 @@ def _motion(
     )
     if found is not None:
         agree = np.asarray(mask).ravel() > 0
-        if agree.any() and _plausible(np.asarray(found, np.float64), points_b[agree]):
+        if agree.any() and plausible(np.asarray(found, np.float64), points_b[agree]):
             best, inliers = np.asarray(found, np.float64), agree
     # OpenCV draws RANSAC's samples from a generator of its own.
     cv2.setRNGSeed(0)
@@ -152,12 +157,12 @@ def _motion(
     agree = np.asarray(mask).ravel() > 0
     if agree.sum() > max(_SIMPLER_FACTOR * inliers.sum(), 2):
         similarity = fit_similarity(points_b[agree], points_a[agree])
-        if _plausible(similarity, points_b[agree]):
+        if plausible(similarity, points_b[agree]):
             return similarity, agree
     return best, inliers
 
 
-def _plausible(homography: Float64Array, points: Float64Array) -> bool:
+def plausible(homography: Float64Array, points: Float64Array) -> bool:
     """Return whether a homography could be of one plane seen twice, nowhere folded or crushed."""
     if abs(homography[2, 2]) < 1e-12:
         return False

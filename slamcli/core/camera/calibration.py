@@ -13,7 +13,7 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.geometry import Grid, invert
 
 DistortionModel = Literal["plumb_bob", "rational_polynomial", "equidistant"]
-Unit = Literal["m", "px"]
+Unit = Literal["m", "px", "h"]
 
 # Of how many calibrations each thing that follows from one is kept: those of a run, and of the
 # frames that are being registered or painted.
@@ -49,7 +49,8 @@ class Calibration:
     focal_sigma_pixels, height_sigma_metres, pitch_sigma_radians, roll_sigma_radians : float
         One standard deviation of each; nan where it is not known.
     unit : str
-        ``m``, or ``px`` for top-down frames without a calibration, where every "metre" is a pixel
+        ``m``; ``h`` for a camera found by its frames alone, where every "metre" is the camera's
+        height; or ``px`` for top-down frames without a calibration, where every "metre" is a pixel
         and height, pitch and roll are nan.
     """
 

@@ -46,7 +46,7 @@ def write_nav2_map(
     path: Path, picture_name: str, grid: Grid, unit: Unit, map_from_grid: Pose2 = _UPRIGHT
 ) -> None:
     """Write the map_server description (Nav2 / ROS map_server YAML) of a picture beside it."""
-    length = {"m": "metres", "px": "pixels"}[unit]
+    length = {"m": "metres", "px": "pixels", "h": "heights of the camera"}[unit]
     x, y = map_from_grid.apply([(grid.x_min, grid.y_min)])[0]
     write_text(
         path,

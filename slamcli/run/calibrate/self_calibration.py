@@ -112,10 +112,12 @@ def describe(done: SelfCalibration) -> list[str]:
         )
     if done.rocking_sigmas is not None:
         pitch, roll, height = done.rocking_sigmas
-        metres = height * done.registration.calibration.height_metres
+        calibration = done.registration.calibration
+        metres = height * calibration.height_metres
+        sway = f"{metres:.2g} h" if calibration.unit == "h" else f"{1000.0 * metres:.2g} mm"
         lines.append(
             f"{'rocking':<12} pitch {math.degrees(pitch):.2g}°, roll {math.degrees(roll):.2g}°, "
-            f"height {1000.0 * metres:.2g} mm from frame to frame"
+            f"height {sway} from frame to frame"
         )
     return lines
 

@@ -22,7 +22,7 @@ from slamcli.run.paint.outputs import PaintedMaps
 from slamcli.run.paint.scene import scenes_of
 from slamcli.run.paint.thumbnails import Thumbnails
 from slamcli.run.session.session import Session
-from slamcli.run.stitch import exports, report, resume, survey
+from slamcli.run.stitch import exports, oblique, report, resume, survey
 from slamcli.run.stitch.debug_drawings import draw_trials
 from slamcli.run.stitch.drive import Drive, LocatedDrive, open_drive
 from slamcli.run.stitch.options import StitchOptions
@@ -89,15 +89,36 @@ def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> Loc
     """
     may_be_survey = survey.may_be_survey(drive)
     if may_be_survey and not drive.mapper.estimates:
-        free = drive.options.mount == "free"
-        if free or survey.moves_freely(drive.inputs.files, session):
-            return _survey_frames(drive, session)
+        found = survey.probe(drive.inputs.files, session)
+        if found.free or found.apart or drive.options.mount == "free":
+            return _locate_uncalibrated(drive, found, checkpoint, session)
     located = _track_frames(drive, checkpoint, session)
     whole = _size(located)[0] == len(drive.inputs.files)
     if not may_be_survey or session.interruption.happened or whole:
         return located
-    surveyed = _survey_frames(drive, session)
+    surveyed = _survey_frames(drive, *_describe_frames(drive, session), session)
     return surveyed if _size(surveyed) > _size(located) else located
+
+
+def _locate_uncalibrated(
+    drive: Drive, found: survey.Probe, checkpoint: Checkpoint, session: Session
+) -> LocatedDrive:
+    """Locate frames that are not of a rigid top-down mount: of a camera that looks ahead, or not.
+
+    Raises
+    ------
+    InputError
+        When it looks ahead and the frames do not determine it.
+    """
+    described, vanished = _describe_frames(drive, session)
+    features = [one.features for one in described]
+    camera = None
+    if drive.options.mount == "auto" and not session.interruption.happened:
+        camera = oblique.find_camera(features, session, apart=found.apart)
+    if camera is None:
+        return _survey_frames(drive, described, vanished, session)
+    size = next(one.size for one in features if one is not None)
+    return _track_frames(oblique.with_camera(drive, camera, size), checkpoint, session)
 
 
 def _size(located: LocatedDrive) -> tuple[int, int]:
@@ -107,23 +128,33 @@ def _size(located: LocatedDrive) -> tuple[int, int]:
     return max(sizes, default=0), sum(sizes)
 
 
-def _survey_frames(drive: Drive, session: Session) -> LocatedDrive:
-    """Describe the frames, and locate all as a survey."""
+def _describe_frames(
+    drive: Drive, session: Session
+) -> tuple[list[survey.Described], tuple[str, ...]]:
+    """Return the features of all frames, and the names of those that vanished meanwhile."""
     files, described, vanished = drive.inputs.files, list[survey.Described](), list[str]()
     missing = {file.index for file in files if not file.path.exists()}
-    here = session.on_this_machine()
-    for file, one in zip(
-        files, here.stage("describing", survey.describe_file, files), strict=False
-    ):
+    stage = session.on_this_machine().stage("describing", survey.describe_file, files)
+    for file, one in zip(files, stage, strict=False):
         described.append(one)
         if not one.digest and file.index not in missing and not file.path.exists():
             vanished.append(file.name)
         if session.interruption.stops_here():
             break
-    found = survey.locate_survey(files, described, drive, here)
+    return described, tuple(vanished)
+
+
+def _survey_frames(
+    drive: Drive,
+    described: Sequence[survey.Described],
+    vanished: tuple[str, ...],
+    session: Session,
+) -> LocatedDrive:
+    """Locate described frames as a survey."""
+    found = survey.locate_survey(drive.inputs.files, described, drive, session.on_this_machine())
     drive = replace(drive, inputs=replace(drive.inputs, files=found.files))
-    registered, gone = found.registered, tuple(vanished)
-    return LocatedDrive(drive, drive.mapper, registered, Thumbnails(), gone, "", survey=found.facts)
+    located = LocatedDrive(drive, drive.mapper, found.registered, Thumbnails(), vanished, "")
+    return replace(located, survey=found.facts)
 
 
 def _track_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> LocatedDrive:

@@ -31,6 +31,8 @@ class StitchOptions:
     mount : str
         How a camera without a calibration is carried: ``rigid`` holds it to three degrees of
         freedom, ``free`` to six; ``auto`` finds out.
+    height_metres : float or None
+        Of a camera without a calibration that looks ahead; None leaves it the unit of length.
     self_calibrate : bool
         Refine the camera by the frames, where they determine it.
     debug : bool
@@ -52,6 +54,7 @@ class StitchOptions:
     max_range_metres: float | None = None
     frame_rate: float | None = None
     mount: Mount = "auto"
+    height_metres: float | None = None
     self_calibrate: bool = False
     debug: bool = False
     export: tuple[str, ...] = ()

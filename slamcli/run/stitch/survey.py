@@ -24,6 +24,7 @@ from slamcli.run.stitch.lost_in_survey import lost_reason
 from slamcli.selfcal import RegisteredDrive
 from slamcli.survey import Survey, SurveyFeatures, SurveyMap, survey, survey_features
 from slamcli.survey.bundle import Lens, covariances
+from slamcli.survey.oblique import floor_motion
 from slamcli.survey.pairs import Pair, find_pair, fit_similarity
 from slamcli.survey.projection import LOG_SCALE, PITCH, ROLL
 
@@ -82,20 +83,42 @@ def describe_file(file: FrameFile) -> Described:
     return Described(survey_features(frame.image, frame.mask), digest=frame.digest)
 
 
-def moves_freely(files: Sequence[FrameFile], session: Session) -> bool:
-    """Return whether some pairs of consecutive frames contradict a rigid top-down mount."""
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """What some pairs of consecutive frames show.
+
+    Attributes
+    ----------
+    free : bool
+        Whether one contradicts a rigid top-down mount.
+    apart : bool
+        Whether most show a floor, and above it something else that moves differently.
+    """
+
+    free: bool
+    apart: bool
+
+
+def probe(files: Sequence[FrameFile], session: Session) -> Probe:
+    """Compare some consecutive frames."""
     starts = np.unique(np.linspace(0, len(files) - 2, _PROBES).round().astype(int)).tolist()
-    pairs = session.ordered(_probe, [(files[n], files[n + 1]) for n in starts if n >= 0])
-    return any(_is_free(pair) for pair in pairs)
+    pairs = [(files[number], files[number + 1]) for number in starts if number >= 0]
+    found = [one for one in session.ordered(_probe, pairs) if one is not None]
+    apart = sum(one.apart for one in found)
+    return Probe(any(one.free for one in found), 2 * apart > max(2, len(found)))
 
 
-def _probe(files: tuple[FrameFile, FrameFile]) -> Pair | None:
+def _probe(files: tuple[FrameFile, FrameFile]) -> Probe | None:
     first, second = (describe_file(file).features for file in files)
-    return None if first is None or second is None else find_pair(0, 1, first, second)
+    if first is None or second is None:
+        return None
+    motion = floor_motion(first, second)
+    free = _is_free(find_pair(0, 1, first, second))
+    return Probe(free, motion is not None and motion.apart)
 
 
-def _is_free(pair: Pair | None) -> bool:
-    if pair is None or pair.reason:
+def _is_free(pair: Pair) -> bool:
+    if pair.reason:
         return False
     similarity = fit_similarity(pair.pixels_b, pair.pixels_a)
     scale = math.hypot(similarity[0, 0], similarity[1, 0])

@@ -1,0 +1,253 @@
+"""An oblique camera calibrated by the floor alone: focal length, pitch and roll from its motions.
+
+A camera fixed on a vehicle sees the same floor from step to step under homographies that all come
+from one mounting: with the right focal length, pitch and roll every pair of frames is a rigid
+motion on the floor (self-calibration from planar homographies, Triggs, ECCV 1998). The scale is not
+determined: the camera's height is the unit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import cv2
+import numpy as np
+from scipy.optimize import OptimizeResult, least_squares
+
+from slamcli.core.arrays import BoolArray, Float64Array
+from slamcli.core.camera.mounting import image_from_robot_homography
+from slamcli.core.geometry import apply_homography, invert
+from slamcli.core.robust import fit_rigid_2d
+from slamcli.survey.features import SurveyFeatures
+from slamcli.survey.pairs import match, plausible
+
+# [All thresholds here: guarded by benchmarks/real_sets.py.]
+_THRESHOLD_SHARE, _MAX_ITERATIONS, _CONFIDENCE = 0.002, 3000, 0.9999
+# A second motion has so many matches, and lies apart from the first in rows.
+_MIN_MATCHES, _APART_FACTOR, _ROW_PERCENTILES = 25, 4.0, (10.0, 90.0)
+# Starts of the search: pitch in degrees, and focal length in widths of the picture.
+_PITCHES, _FOCALS = (15.0, 30.0, 45.0, 60.0), (0.6, 0.9, 1.3)
+_FOCAL_PRIOR_SIGMA, _ROLL_PRIOR_SIGMA, _BEND_PRIOR_SIGMA = 0.7, math.radians(10.0), 0.1
+_BEHIND_PIXELS, _LOSS_PIXELS = 1e3, 1.5
+_ROUGH_MATCHES, _ROUGH_STEPS, _MAX_MATCHES = 25, 12, 120
+_MIN_MOTIONS, _MAX_RESIDUAL_SHARE = 3, 0.002
+# Of an observable camera: sigmas of log focal length and of the pitch.
+_MAX_FOCAL_SIGMA, _MAX_PITCH_SIGMA, _MAX_PITCH = 0.1, math.radians(2.0), math.radians(70.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FloorMotion:
+    """Matches of the floor between two frames.
+
+    Attributes
+    ----------
+    pixels_a, pixels_b : (N, 2) float64
+        From the pictures' middles.
+    apart : bool
+        Whether the floor moves in other rows, further down, than what else the frames show.
+    residual_pixels : float
+        Median error under a homography of its own.
+    """
+
+    pixels_a: Float64Array
+    pixels_b: Float64Array
+    apart: bool
+    residual_pixels: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObliqueCamera:
+    """What the motions determine of a camera.
+
+    Attributes
+    ----------
+    focal_pixels : float
+    pitch_radians, roll_radians : float
+        As in `Calibration`.
+    k1 : float
+        Radial distortion, in OpenCV's model.
+    focal_sigma, pitch_sigma : float
+        Of the logarithm; radians.
+    median_pixels : float
+        Of the residuals.
+    reason : str
+        Why the camera is not determined; empty when it is.
+    """
+
+    focal_pixels: float
+    pitch_radians: float
+    roll_radians: float
+    k1: float
+    focal_sigma: float
+    pitch_sigma: float
+    median_pixels: float
+    reason: str = ""
+
+    @property
+    def steep(self) -> bool:
+        """Whether the camera may as well look straight down."""
+        return not self.pitch_radians < _MAX_PITCH
+
+
+def floor_motion(first: SurveyFeatures, second: SurveyFeatures) -> FloorMotion | None:
+    """Return the lowest motion that two frames have in common; None when there is none."""
+    points_a, points_b = match(first, second)
+    left = np.ones(len(points_a), np.bool_)
+    threshold = _THRESHOLD_SHARE * max(first.size)
+    motions: list[tuple[Float64Array, BoolArray]] = []
+    for _ in range(3):
+        found = _dominant(points_a, points_b, left, threshold)
+        if found is None:
+            break
+        homography, inliers = found
+        motions.append((homography, inliers))
+        errors = np.linalg.norm(apply_homography(homography, points_b) - points_a, axis=1)
+        left &= ~(errors < _APART_FACTOR * threshold)
+    if not motions:
+        return None
+    rows = [np.percentile(points_a[inliers, 1], _ROW_PERCENTILES) for _, inliers in motions]
+    lowest = max(range(len(motions)), key=lambda number: float(rows[number].sum()))
+    apart = lowest > 0 and rows[lowest][0] > rows[0][1] - 0.05 * first.size[1]
+    homography, chosen = motions[lowest if apart else 0]
+    some, others = points_a[chosen], points_b[chosen]
+    errors = np.linalg.norm(apply_homography(homography, others) - some, axis=1)
+    return FloorMotion(some, others, bool(apart), float(np.median(errors)))
+
+
+def _dominant(
+    points_a: Float64Array, points_b: Float64Array, left: BoolArray, threshold: float
+) -> tuple[Float64Array, BoolArray] | None:
+    """Return the homography that most of the matches left agree with, and which do."""
+    numbers = np.flatnonzero(left)
+    if len(numbers) < _MIN_MATCHES:
+        return None
+    found, mask = cv2.findHomography(
+        points_b[numbers],
+        points_a[numbers],
+        cv2.USAC_MAGSAC,
+        threshold,
+        None,
+        _MAX_ITERATIONS,
+        _CONFIDENCE,
+    )
+    if found is None:
+        return None
+    inliers = np.zeros(len(points_a), np.bool_)
+    inliers[numbers[np.asarray(mask).ravel() > 0]] = True
+    homography = np.asarray(found, np.float64)
+    if inliers.sum() < _MIN_MATCHES or not plausible(homography, points_b[inliers]):
+        return None
+    return homography, inliers
+
+
+def estimate_camera(motions: Sequence[FloorMotion], size: tuple[int, int]) -> ObliqueCamera:
+    """Return the camera under which all motions are rigid on the floor.
+
+    Parameters
+    ----------
+    motions : sequence of FloorMotion
+    size : (int, int)
+        Of the pictures.
+    """
+    if len(motions) < _MIN_MOTIONS:
+        return _none("too few pairs of frames show the same floor")
+    width = max(size)
+    starts = [
+        np.array([math.log(focal), math.radians(pitch), 0.0, 0.0])
+        for focal, pitch in product(_FOCALS, _PITCHES)
+    ]
+    few = [_some(one, _ROUGH_MATCHES) for one in motions]
+    rough = [_solved(few, width, start, _ROUGH_STEPS) for start in starts]
+    best = min(rough, key=lambda one: float(one.cost))
+    best = _solved([_some(one, _MAX_MATCHES) for one in motions], width, best.x)
+    lengths = np.concatenate(
+        [np.linalg.norm(_residuals(one, best.x, width), axis=1) for one in motions]
+    )
+    median = float(np.median(lengths))
+    noise = max(median / 1.18, 0.05) / _LOSS_PIXELS
+    jacobian = np.asarray(best.jac, np.float64)
+    covariance = noise**2 * np.linalg.pinv(jacobian.T @ jacobian)
+    sigmas = np.sqrt(np.diag(covariance))
+    focal, pitch, roll, bend = best.x.tolist()
+    camera = ObliqueCamera(
+        width * math.exp(focal), pitch, roll, bend, float(sigmas[0]), float(sigmas[1]), median
+    )
+    return _checked(camera, width)
+
+
+def _solved(
+    motions: Sequence[FloorMotion], width: int, start: Float64Array, steps: int | None = None
+) -> OptimizeResult:
+    """Return the least squares of log focal length (widths), pitch, roll and k1, from a start."""
+
+    def misfit(values: Float64Array) -> Float64Array:
+        residual = [_residuals(one, values, width).ravel() / _LOSS_PIXELS for one in motions]
+        prior = [
+            values[0] / _FOCAL_PRIOR_SIGMA,
+            values[2] / _ROLL_PRIOR_SIGMA,
+            values[3] / _BEND_PRIOR_SIGMA,
+        ]
+        return np.concatenate([*residual, prior])
+
+    return least_squares(misfit, start, loss="cauchy", x_scale="jac", max_nfev=steps)
+
+
+def _some(motion: FloorMotion, count: int) -> FloorMotion:
+    """Return a motion with at most so many of its matches."""
+    chosen = slice(None, None, -(-len(motion.pixels_a) // count))
+    return replace(motion, pixels_a=motion.pixels_a[chosen], pixels_b=motion.pixels_b[chosen])
+
+
+def _checked(camera: ObliqueCamera, width: int) -> ObliqueCamera:
+    if camera.median_pixels > _MAX_RESIDUAL_SHARE * width:
+        reason = (
+            "no fixed camera over a flat floor explains the motions "
+            f"({camera.median_pixels:.1f} px left)"
+        )
+    elif camera.focal_sigma > _MAX_FOCAL_SIGMA or camera.pitch_sigma > _MAX_PITCH_SIGMA:
+        reason = (
+            f"the frames do not determine the focal length (±{camera.focal_sigma:.0%}) and the "
+            f"pitch (±{math.degrees(camera.pitch_sigma):.1g}°): let the camera turn on its way"
+        )
+    elif not 0.0 < camera.pitch_radians < _MAX_PITCH:
+        reason = f"its pitch of {math.degrees(camera.pitch_radians):.0f}° is not plausible"
+    else:
+        return camera
+    return replace(camera, reason=reason)
+
+
+def _none(reason: str) -> ObliqueCamera:
+    return ObliqueCamera(math.nan, math.nan, math.nan, 0.0, math.nan, math.nan, math.nan, reason)
+
+
+def _residuals(motion: FloorMotion, values: Float64Array, width: int) -> Float64Array:
+    """Return (N, 2) pixels: the second frame's points, by the best rigid motion, in the first."""
+    log_focal, pitch, roll, k1 = values.tolist()
+    focal = width * math.exp(log_focal)
+    matrix = np.diag([focal, focal, 1.0])
+    image_from_floor = image_from_robot_homography(matrix, 1.0, pitch, roll)
+    floor_from_image = invert(image_from_floor)
+    seen = [_undistorted(pixels, k1, focal) for pixels in (motion.pixels_a, motion.pixels_b)]
+    depths = [points @ floor_from_image[2, :2] + floor_from_image[2, 2] for points in seen]
+    below = (depths[0] > 1e-6) & (depths[1] > 1e-6)
+    residual = np.full_like(motion.pixels_a, _BEHIND_PIXELS)
+    if below.sum() < 2:
+        return residual
+    floor_a, floor_b = (apply_homography(floor_from_image, points[below]) for points in seen)
+    # An error of a pixel far away is one of much floor.
+    weights = np.minimum(depths[0][below], depths[1][below]) ** 4
+    moved = fit_rigid_2d(floor_a, floor_b, weights).apply(floor_b)
+    residual[below] = apply_homography(image_from_floor, moved) - seen[0][below]
+    return np.clip(np.nan_to_num(residual, nan=_BEHIND_PIXELS), -_BEHIND_PIXELS, _BEHIND_PIXELS)
+
+
+def _undistorted(pixels: Float64Array, k1: float, focal: float) -> Float64Array:
+    """Return undistorted pixels, by two steps of the fixed-point iteration."""
+    undistorted = pixels
+    for _ in range(4):
+        squares = np.sum((undistorted / focal) ** 2, axis=1)
+        undistorted = pixels / np.clip(1.0 + k1 * squares, 0.3, 3.0)[:, None]
+    return undistorted
