@@ -185,8 +185,7 @@ def test_no_good_picture_is_damage(tmp_path: Path, name: str) -> None:
     }
     files |= {
         f"{method}{quality}.webp": encoded("WEBP", image, quality=quality, method=method)
-        for method in (0, 4, 6)
-        for quality in (20, 75, 100)
+        for method, quality in ((0, 75), (4, 20), (4, 100))
     }
     for method in (None, "tiff_adobe_deflate", "tiff_lzw", "packbits"):
         files[f"{method}.tif"] = encoded("TIFF", image, compression=method)
