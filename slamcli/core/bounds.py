@@ -94,6 +94,8 @@ MAX_IMAGE_PIXELS = 160_000_000
 MAX_POINTS = 100_000
 MAX_SEED = 2**63 - 1
 SEED = Bounds(0, MAX_SEED, whole=True)
+# Of a frame in its sequence; `map.slam` has no larger ones.
+FRAME_INDEX = Bounds(0, 2**31 - 2, whole=True)
 WORKERS = Bounds(1, 1024, whole=True)
 COUNT = Bounds(1, 1_000_000, whole=True)
 # By the names of `FeatureOptions`; those of ORB are OpenCV's own.

@@ -6,15 +6,19 @@ from dataclasses import replace
 
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.config import MapperOptions
+from slamcli.core.failures import FAILURES, failure_text
 from slamcli.core.records import FloorMap, Frame, PoseEstimate, PreparedFrame
 from slamcli.mapping.backend.pose_graph import PoseGraph, lost
 from slamcli.mapping.keyframes import KeyframeDatabase
+from slamcli.mapping.locks import ReentrantLock
 from slamcli.mapping.preprocessing import Preprocessor
 from slamcli.mapping.relocalization import Relocalizer
 
 
 class Locator:
     """Finds frames in a map, each by itself: nothing is known of where the robot was before.
+
+    `locate` never raises, whatever the frame, and threads may share a locator.
 
     Parameters
     ----------
@@ -38,7 +42,7 @@ class Locator:
             database.add(keyframe)
         for estimate in floor_map.estimates:
             self._graph.set_estimate(estimate)
-        self._count = 0
+        self._count, self._lock = 0, ReentrantLock()
 
     def locate(self, frame: Frame | UInt8Array) -> PoseEstimate:
         """Return where a frame is on the map; lost, with the reason, when it is not there.
@@ -54,8 +58,9 @@ class Locator:
             how likely that link is right.
         """
         if not isinstance(frame, Frame):
-            frame = Frame(self._count, f"frame {self._count}", None, frame)
-            self._count += 1
+            with self._lock:
+                frame = Frame(self._count, f"frame {self._count}", None, frame)
+                self._count += 1
         return self.place(self.prepare(frame))
 
     def prepare(self, frame: Frame) -> PreparedFrame:
@@ -66,8 +71,11 @@ class Locator:
         """Return where a prepared frame is on the map, as `locate`."""
         if prepared.features is None:
             return lost(prepared, prepared.reason)
-        candidates = self._relocalizer.query(prepared.features)
-        found = self._relocalizer.verify(prepared, candidates, self._graph)
-        if found.link is None:
-            return lost(prepared, found.reason)
-        return self._graph.predict_pose(prepared, [found.link])
+        try:
+            candidates = self._relocalizer.query(prepared.features)
+            found = self._relocalizer.verify(prepared, candidates, self._graph)
+            if found.link is None:
+                return lost(prepared, found.reason)
+            return self._graph.predict_pose(prepared, [found.link])
+        except FAILURES as error:
+            return lost(prepared, f"cannot be located: {failure_text(error)}")

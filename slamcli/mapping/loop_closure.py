@@ -15,6 +15,7 @@ import numpy as np
 
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
+from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Pose2, invert
 from slamcli.core.records import Keyframe, Link, PreparedFrame
 from slamcli.mapping.backend.pose_graph import PoseGraphReader
@@ -214,7 +215,11 @@ class LoopCloser:
         for index in self._database.order:
             if index not in self._searched and graph.is_placed(index):
                 self._searched.add(index)
-                link = self.join_fragments(self._database.decode(index), graph).link
+                try:
+                    keyframe = self._database.decode(index)
+                except FrameError:  # its pictures, from a damaged map
+                    continue
+                link = self.join_fragments(keyframe, graph).link
                 if link is not None:
                     links.append(link)
         return links
@@ -225,8 +230,12 @@ class LoopCloser:
         failed = self._failed.get(pair)
         if failed is not None and self._near(failed, candidate.guess):
             return None
-        prepared = self._database.decode(candidate.b)
-        result = self._relocalizer.register(candidate.a, prepared, candidate.guess)
+        try:
+            prepared = self._database.decode(candidate.b)
+            result = self._relocalizer.register(candidate.a, prepared, candidate.guess)
+        except FrameError:  # the keyframe's pictures, from a damaged map
+            self._failed[pair] = candidate.guess
+            return None
         unexpected = not self._near(candidate.expected, candidate.guess)
         if (
             result.link is None

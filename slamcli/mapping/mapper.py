@@ -16,6 +16,7 @@ from slamcli.core.arrays import UInt8Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import InputError
+from slamcli.core.failures import FAILURES, failure_text
 from slamcli.core.geometry import Grid
 from slamcli.core.records import FloorMap, Frame, Link, PoseEstimate, PreparedFrame
 from slamcli.core.telemetry import (
@@ -28,7 +29,9 @@ from slamcli.core.telemetry import (
 from slamcli.mapping.backend.backend import Backend
 from slamcli.mapping.backend.pose_graph import lost
 from slamcli.mapping.backend.sensors import Sensors
+from slamcli.mapping.frame_checks import is_known
 from slamcli.mapping.keyframes import KeyframeDatabase
+from slamcli.mapping.locks import ReentrantLock
 from slamcli.mapping.loop_closure import LoopCloser, Spread
 from slamcli.mapping.motion_model import MotionModel
 from slamcli.mapping.preprocessing import Preprocessor
@@ -41,6 +44,9 @@ from slamcli.registration import RegistrationResult
 
 class Mapper:
     """Locates a camera over a floor and maps the floor at the same time (SLAM).
+
+    `update` never raises: what cannot be used is lost, with the reason. Threads may share a mapper:
+    calls wait for one another, and frames are placed in the order in which they arrive.
 
     Parameters
     ----------
@@ -70,6 +76,7 @@ class Mapper:
         )
         self._tracker = Tracker(calibration, self.options, self._tracking, self._motion_model)
         self._registrations: list[RegistrationResult] = []
+        self._lock = ReentrantLock()
 
     @property
     def grid(self) -> Grid:
@@ -84,12 +91,14 @@ class Mapper:
     @property
     def estimates(self) -> list[PoseEstimate]:
         """One for every frame so far, sorted by index, as revised by all that followed."""
-        return self._graph.estimates
+        with self._lock:
+            return self._graph.estimates
 
     @property
     def links(self) -> list[Link]:
         """Every measured motion between two frames, in the order of insertion."""
-        return list(self._graph.links)
+        with self._lock:
+            return list(self._graph.links)
 
     @property
     def registrations(self) -> list[RegistrationResult]:
@@ -116,11 +125,15 @@ class Mapper:
 
         It covers frames up to its own moment and a little beyond: add it before the frame.
         """
-        self.sensors.odometry(reading)
+        _check_type(reading, OdometryReading)
+        with self._lock:
+            self.sensors.odometry(reading)
 
     def compass(self, reading: CompassReading) -> None:
         """Add a reading; its offset from the map, which all readings share, is estimated."""
-        self.sensors.compass(reading)
+        _check_type(reading, CompassReading)
+        with self._lock:
+            self.sensors.compass(reading)
 
     def gps(self, reading: GpsReading) -> None:
         """Add a reading; `georeferences` then has where on Earth the map lies.
@@ -128,9 +141,11 @@ class Mapper:
         Raises
         ------
         InputError
-            When pyproj is not installed.
+            When pyproj is not installed, or it is no reading of this kind.
         """
-        self.sensors.gps(reading)
+        _check_type(reading, GpsReading)
+        with self._lock:
+            self.sensors.gps(reading)
 
     def update(self, frame: Frame | UInt8Array) -> PoseEstimate:
         """Locate one more frame; a frame that cannot be used is lost, with the reason.
@@ -139,10 +154,11 @@ class Mapper:
         ----------
         frame : Frame, or (H, W[, 3]) uint8 BGR or gray pixels of the next one
         """
-        if not isinstance(frame, Frame):
+        if isinstance(frame, Frame):
+            return self.step(self.prepare(frame))
+        with self._lock:
             index = self._graph.next_index
-            frame = Frame(index, f"frame {index}", None, frame)
-        return self.step(self.prepare(frame))
+            return self.step(self.prepare(Frame(index, f"frame {index}", None, frame)))
 
     def prepare(self, frame: Frame) -> PreparedFrame:
         """Compute all that needs no other frame; may run ahead on any thread. Never raises."""
@@ -151,11 +167,23 @@ class Mapper:
     def step(self, prepared: PreparedFrame) -> PoseEstimate:
         """Place one prepared frame; frames come in order, and an index that came before is refused.
 
-        The refusal is an estimate too, lost and not kept.
+        So is one out of bounds. The refusal is an estimate too, lost and not kept. Never raises.
         """
-        self._registrations = []
-        if prepared.index in self._graph:
-            return lost(prepared, f"frame index {prepared.index} came before; give a new one")
+        with self._lock:
+            self._registrations = []
+            if not is_known(prepared):
+                return lost(prepared, prepared.reason or "its index or stamp is out of bounds")
+            if prepared.index in self._graph:
+                return lost(prepared, f"frame index {prepared.index} came before; give a new one")
+            try:
+                return self._step(prepared)
+            except FAILURES as error:
+                reason = f"cannot be placed: {failure_text(error)}"
+                known = self._graph.get(prepared.index)
+                return self._graph.set_estimate(lost(prepared, reason)) if known is None else known
+
+    def _step(self, prepared: PreparedFrame) -> PoseEstimate:
+        """Place a frame of a new index."""
         if prepared.view is None or prepared.features is None:
             return self._backend.add_lost(prepared, prepared.reason)
         before, self._tracking.latest = self._tracking.latest, prepared
@@ -190,13 +218,14 @@ class Mapper:
             Like `map`, such as that of a `ThreadPoolExecutor`: used for the keyframes' loop
             closures, with the same result.
         """
-        self._backend.solve()
-        while self.options.loops:
-            loops = self._loop_closer.find_loops(self._graph, spread)
-            if not loops:
-                break
-            self._backend.solve(loops)
-        return self.estimates
+        with self._lock:
+            self._backend.solve()
+            while self.options.loops:
+                loops = self._loop_closer.find_loops(self._graph, spread)
+                if not loops:
+                    break
+                self._backend.solve(loops)
+            return self.estimates
 
     def floor_map(self) -> FloorMap | None:
         """Return what `Locator` needs of the map so far; None while nothing is placed."""
@@ -340,6 +369,11 @@ class Mapper:
         self._tracking.keyframes.append(prepared)
         self._loop_closer.add(prepared)
         del self._tracking.keyframes[: -self.options.recent_keyframes]
+
+
+def _check_type(reading: object, kind: type) -> None:
+    if not isinstance(reading, kind):
+        raise InputError(f"a reading of the type {type(reading).__name__}, not {kind.__name__}")
 
 
 def _most_informative(results: list[RegistrationResult]) -> RegistrationResult:

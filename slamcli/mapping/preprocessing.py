@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 
-import cv2
-
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.footprint import MAX_REGISTRATION_PIXELS, check_metres_per_pixel
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
+from slamcli.core.failures import FAILURES, failure_text
 from slamcli.core.geometry import Grid
 from slamcli.core.records import Frame, PreparedFrame
+from slamcli.mapping.frame_checks import checked_frame, refused
 from slamcli.registration.preparation import assemble
 from slamcli.stages import dense, features, view
 
@@ -35,7 +35,12 @@ class Preprocessor:
             calibration
         )
         if options.metres_per_pixel is not None:
-            check_metres_per_pixel(calibration, self.metres_per_pixel, MAX_REGISTRATION_PIXELS)
+            check_metres_per_pixel(
+                calibration,
+                self.metres_per_pixel,
+                MAX_REGISTRATION_PIXELS,
+                "--view-metres-per-pixel",
+            )
         self._calibration = calibration
         self._features = options.features
         self._tilt_radians = math.radians(options.tilt_sigma_degrees)
@@ -53,7 +58,7 @@ class Preprocessor:
     def prepare(self, frame: Frame) -> PreparedFrame:
         """Return the prepared frame, or one with the reason why it cannot be used; never raises."""
         try:
-            view.check_frame(frame, self._calibration)
+            frame = checked_frame(frame, self._calibration)
             views = view.make_compared_views(frame, self._resamplers)
             near = views[0]
             view.check_view(near)
@@ -62,6 +67,6 @@ class Preprocessor:
             return assemble(frame, views, found, self._masks if frame.mask is None else None)
         except FrameError as error:
             reason = str(error)
-        except (cv2.error, ValueError, TypeError) as error:
-            reason = f"cannot be processed: {' '.join(str(error).split())}"
-        return PreparedFrame(frame.index, frame.name, frame.stamp, None, None, reason)
+        except FAILURES as error:
+            reason = f"cannot be processed: {failure_text(error)}"
+        return refused(frame, reason)

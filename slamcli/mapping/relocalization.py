@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
+from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Features, Link, PreparedFrame
 from slamcli.mapping.backend.pose_graph import PoseGraphReader
@@ -146,7 +147,10 @@ class Relocalizer:
         self, prepared: PreparedFrame, place: Sequence[PlaceCandidate]
     ) -> RegistrationResult | None:
         for candidate in place[:_MAX_KEYFRAMES_OF_A_PLACE]:
-            result = self.register(candidate.keyframe, prepared, candidate.keyframe_from_now)
+            try:
+                result = self.register(candidate.keyframe, prepared, candidate.keyframe_from_now)
+            except FrameError:  # the keyframe's pictures, from a damaged map
+                continue
             if self.is_reliable(result):
                 return result
         return None

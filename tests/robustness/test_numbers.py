@@ -131,7 +131,7 @@ def test_what_is_no_regular_file_is_not_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("scale", [1e-6, 0.5, 1e3])
 def test_a_resolution_out_of_proportion_is_refused_with_those_that_serve(scale: float) -> None:
-    with pytest.raises(InputError, match=r"give from .* to ") as raised:
+    with pytest.raises(InputError, match=r"give --metres-per-pixel from .* to ") as raised:
         check_metres_per_pixel(calibration(), scale, 2**24)
     finest, coarsest = (float(word) for word in str(raised.value).split()[-3::2])
     for good in (1.01 * finest, 0.99 * coarsest):

@@ -81,9 +81,18 @@ def footprint(calibration: Calibration, metres_per_pixel: float) -> Grid:
 
 
 def check_metres_per_pixel(
-    calibration: Calibration, metres_per_pixel: float, max_pixels: int
+    calibration: Calibration,
+    metres_per_pixel: float,
+    max_pixels: int,
+    option: str = "--metres-per-pixel",
 ) -> None:
     """Refuse a resolution at which one view would have next to no pixels, or far too many.
+
+    Parameters
+    ----------
+    max_pixels : int
+    option : str
+        By which a user chooses it.
 
     Raises
     ------
@@ -99,7 +108,8 @@ def check_metres_per_pixel(
         unit = calibration.unit
         raise InputError(
             f"a view of {width:.3g} x {height:.3g} {unit} cannot be made with pixels of "
-            f"{metres_per_pixel:g} {unit}; give from {finest:.2g} to {coarsest:.2g}"
+            f"{metres_per_pixel:g} {unit}; give {option} from {finest:.2g} to "
+            f"{coarsest:.2g}"
         )
 
 

@@ -22,7 +22,11 @@ import numpy as np
 
 from slamcli.core.arrays import AnyArray
 from slamcli.core.bounds import METRES_PER_PIXEL, TILT_DEGREES
-from slamcli.core.camera.footprint import MAX_REGISTRATION_PIXELS, check_metres_per_pixel
+from slamcli.core.camera.footprint import (
+    MAX_REGISTRATION_PIXELS,
+    check_metres_per_pixel,
+    footprint,
+)
 from slamcli.core.errors import InputError, MapError
 from slamcli.core.records import DescriptorNorm, FloorMap
 from slamcli.io import calibration_codec
@@ -166,12 +170,14 @@ def _parse(body: bytes) -> FloorMap:
     calibration = calibration_codec.from_dict(header["calibration"])
     scale = check_number(scale, "metres_per_pixel", METRES_PER_PIXEL)
     check_metres_per_pixel(calibration, scale, MAX_REGISTRATION_PIXELS)
+    grid = footprint(calibration, scale)
+    size = -(-grid.width // 2), -(-grid.height // 2)
     return FloorMap(
         calibration,
         features,
         scale,
         check_number(tilt, "tilt_sigma_degrees", TILT_DEGREES),
-        parse_keyframes(arrays, norm, {e.index: e for e in estimates}),
+        parse_keyframes(arrays, norm, {e.index: e for e in estimates}, size),
         estimates,
         links,
         parse_sources(header.get("sources", [])),

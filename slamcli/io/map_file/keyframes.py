@@ -25,6 +25,8 @@ KEYFRAME_TYPES = {
     "pictures": "|u1",
 }
 DESCRIPTOR_TYPES = ("|u1", "<f4")
+# Markers of the segment that declares a JPEG's size, of the kinds that OpenCV writes or reads.
+_JPEG_FRAMES = (0xC0, 0xC1, 0xC2)
 _MAX_KEYFRAMES = 2_000_000
 _MAX_DESCRIPTOR_LENGTH = 4096
 # Of each row: frame index, and how many points, bytes of picture and bytes of mask it has.
@@ -62,9 +64,18 @@ def keyframe_arrays(keyframes: Sequence[Keyframe]) -> dict[str, AnyArray]:
 
 
 def parse_keyframes(
-    arrays: Mapping[str, AnyArray], norm: DescriptorNorm, frames: Mapping[int, PoseEstimate]
+    arrays: Mapping[str, AnyArray],
+    norm: DescriptorNorm,
+    frames: Mapping[int, PoseEstimate],
+    size: tuple[int, int],
 ) -> tuple[Keyframe, ...]:
-    """Return keyframes, each number checked; raises MapError."""
+    """Return keyframes, each number checked; raises MapError.
+
+    Parameters
+    ----------
+    size : (int, int)
+        Width and height that every picture declares; its pixels are decoded when it is used.
+    """
     _check_shapes(arrays, norm)
     _check_numbers(arrays)
     pictures = arrays["pictures"].tobytes()
@@ -75,18 +86,35 @@ def parse_keyframes(
         if frame is None or frame.map_from_robot is None:
             raise MapError(f"its keyframe {index} has no pose")
         mask_start = first_byte + image_bytes
+        image = pictures[first_byte:mask_start]
+        mask = pictures[mask_start : mask_start + mask_bytes]
+        if _declared_size(image) != size or _declared_size(mask) != size:
+            raise MapError(f"the pictures of its keyframe {index} are damaged")
         keyframes.append(
             Keyframe(
                 index,
                 frame.name,
                 frame.stamp,
                 _features(arrays, slice(first_point, first_point + count), norm),
-                pictures[first_byte:mask_start],
-                pictures[mask_start : mask_start + mask_bytes],
+                image,
+                mask,
             )
         )
         first_point, first_byte = first_point + count, mask_start + mask_bytes
     return tuple(keyframes)
+
+
+def _declared_size(picture: bytes) -> tuple[int, int] | None:
+    """Return the width and height in the header of a JPEG or PNG; None where there is none."""
+    if picture.startswith(b"\x89PNG\r\n\x1a\n") and len(picture) >= 24:
+        return int.from_bytes(picture[16:20], "big"), int.from_bytes(picture[20:24], "big")
+    at = 2
+    while picture.startswith(b"\xff\xd8\xff") and at + 9 <= len(picture) and picture[at] == 0xFF:
+        if picture[at + 1] in _JPEG_FRAMES:
+            height, width = picture[at + 5 : at + 7], picture[at + 7 : at + 9]
+            return int.from_bytes(width, "big"), int.from_bytes(height, "big")
+        at += 2 + int.from_bytes(picture[at + 2 : at + 4], "big")
+    return None
 
 
 def _features(arrays: Mapping[str, AnyArray], points: slice, norm: DescriptorNorm) -> Features:

@@ -256,11 +256,22 @@ def test_usage_errors_exit_2() -> None:
 
 
 def test_a_mosaic_too_large_is_refused_with_what_fits(few_frames: Path, tmp_path: Path) -> None:
-    result = slam("stitch", few_frames, "-o", tmp_path / "out", "--metres-per-pixel", "0.00001")
+    result = slam("stitch", few_frames, "-o", tmp_path / "out", "--metres-per-pixel", "0.00004")
     refused_line = result.output.strip().splitlines()[-1]
     assert result.exit_code == 1
     assert "--metres-per-pixel" in refused_line
-    assert list((tmp_path / "out").iterdir()) == []
+    # What was located is kept: the command can be repeated with --resume and another resolution.
+    assert {path.name for path in (tmp_path / "out").iterdir()} <= {".resume"}
+
+
+@pytest.mark.parametrize("scale", ["0.000001", "0.5", "1000"])
+def test_a_resolution_that_paints_nothing_is_refused_at_once(
+    few_frames: Path, tmp_path: Path, scale: str
+) -> None:
+    result = slam("stitch", few_frames, "-o", tmp_path / "out", "--metres-per-pixel", scale)
+    assert result.exit_code == 1
+    assert "give --metres-per-pixel from" in result.output.strip().splitlines()[-1]
+    assert not (tmp_path / "out").exists()
 
 
 def test_frames_without_a_calibration_are_top_down_in_pixels(tmp_path: Path) -> None:
