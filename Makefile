@@ -5,7 +5,7 @@ BIN = $(VENV)/bin
 DEMO ?= demo
 COUNT ?= 2000
 
-.PHONY: demo test test-all fuzz lint docs figures bench samples clean
+.PHONY: demo test test-all fuzz faults lint docs figures bench samples clean
 
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -34,6 +34,12 @@ test-all: test
 # Mutated files of every format, each read in a process of bounded time and memory.
 fuzz: $(VENV)/installed-dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/robustness/fuzz.py --count $(COUNT)
+
+# Kills, full disks, vanished frames: minutes; as root, whose disks of some megabytes are mounted.
+FAULTS ?= faults
+faults: $(VENV)/installed-dev
+	$(BIN)/python tests/robustness/faults.py $(FAULTS)/640x480 --kills 44 --disks 20
+	$(BIN)/python tests/robustness/faults.py $(FAULTS)/1920x1080 --size 1920x1080 --frames 4 --kills 20 --disks 0
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check

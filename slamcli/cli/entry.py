@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 
 from slamcli.cli.streams import LenientStream, replace_streams
@@ -19,11 +20,19 @@ def main() -> None:
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     from slamcli.cli.main import main as command_line
 
+    code: object = None
     try:
         command_line(prog_name="slam")
     except SystemExit as end:
-        end.code = _exit_code(end.code, output)
-        raise
+        code = end.code
+    except KeyboardInterrupt:
+        # Between two handlers of the command line.
+        code = 130
+    # What is done is done: Python's end is not to be interrupted, with a traceback.
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    sys.exit(_exit_code(code, output))
 
 
 def _exit_code(code: object, output: LenientStream | None) -> int | str | None:
