@@ -23,6 +23,7 @@ from slamcli.mapping.keyframes import KeyframeDatabase, encode_keyframe
 from slamcli.mapping.loop_candidates import LoopCandidate, LoopCandidates
 from slamcli.mapping.relocalization import Relocalization, Relocalizer, are_near
 from slamcli.mapping.saved_state import LoopState
+from slamcli.stages import dense
 from slamcli.stages.place_index import PlaceCandidate
 
 Candidates = Sequence[LoopCandidate]
@@ -230,9 +231,10 @@ class LoopCloser:
         failed = self._failed.get(pair)
         if failed is not None and self._near(failed, candidate.guess):
             return None
+        prior = dense.MotionPrior(candidate.expected, candidate.covariance)
         try:
             prepared = self._database.decode(candidate.b)
-            result = self._relocalizer.register(candidate.a, prepared, candidate.guess)
+            result = self._relocalizer.register(candidate.a, prepared, candidate.guess, prior)
         except FrameError:  # the keyframe's pictures, from a damaged map
             self._failed[pair] = candidate.guess
             return None

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
-from slamcli.core.geometry import Pose2
+from slamcli.core.geometry import Pose2, wrap_angle
 from slamcli.core.records import Link, PreparedFrame
 from slamcli.mapping.backend.pose_graph import PoseGraphReader
 from slamcli.mapping.backend.sensors import Sensors
@@ -25,6 +27,14 @@ _SEARCHED_SIGMAS = 3.0
 # No window is searched whose radius is a larger multiple of the camera's range: within it pixels
 # alone are no proof. [guarded by benchmarks/robustness.py]
 _MAX_RADIUS_IN_RANGES = 2.0
+# The spread of constant velocity is learned from this many predictions on, and from the latest few.
+# The median of a two-dimensional error's length is 1.18 sigmas; robots also brake and bump, so that
+# two medians count as one sigma; none is below this share of the camera's range, and of a radian
+# [guarded by benchmarks/tiles.py].
+_MIN_PREDICTIONS = 4
+_MAX_PREDICTIONS = 20
+_SIGMAS_OF_MEDIAN = 2.0
+_MIN_SIGMA_SHARE = 0.01
 
 
 class MotionModel:
@@ -48,6 +58,7 @@ class MotionModel:
         graph: PoseGraphReader,
         sensors: Sensors,
     ) -> None:
+        self._range_metres = calibration.max_range_metres
         self._max_radius_metres = _MAX_RADIUS_IN_RANGES * calibration.max_range_metres
         # Free motion in one step, beside what is predicted.
         self._step_metres = options.search_share_of_range * calibration.max_range_metres
@@ -59,24 +70,50 @@ class MotionModel:
     def update(self, index: int) -> None:
         """Take the motion from the frame before to a new one, if both are of one fragment."""
         before, now = self._graph.get(index - 1), self._graph[index]
-        self._tracking.motion = None
+        latest, self._tracking.motion = self._tracking.motion, None
         if before is not None and before.fragment == now.fragment:
             start = self._graph.pose(before.index)
-            self._tracking.motion = start.inverse() @ self._graph.pose(index)
+            motion = start.inverse() @ self._graph.pose(index)
+            if latest is not None and self._tracking.motion_frame == before.index:
+                self._add_prediction_error(latest.inverse() @ motion)
+            self._tracking.motion = motion
             self._tracking.motion_frame = index
+
+    def _add_prediction_error(self, error: Pose2) -> None:
+        errors = self._tracking.prediction_errors
+        errors.append((error.translation_length, abs(wrap_angle(error.theta))))
+        del errors[:-_MAX_PREDICTIONS]
 
     def by_odometry(self, index: int, prepared: PreparedFrame) -> Link | None:
         """Return the motion from a known frame to a new one by odometry; None without readings."""
         return self._sensors.link(self._graph[index], prepared)
 
-    def predict_from_motion(self, keyframe: PreparedFrame, prepared: PreparedFrame) -> Pose2 | None:
-        """Return ``keyframe_from_prepared`` by constant velocity; None without a latest motion."""
+    def prior(self, keyframe: PreparedFrame, prepared: PreparedFrame) -> dense.MotionPrior | None:
+        """Return ``keyframe_from_prepared`` as expected: by odometry, else by constant velocity.
+
+        None without readings and without a latest motion.
+        """
+        if (link := self.by_odometry(keyframe.index, prepared)) is not None:
+            return dense.MotionPrior(link.a_from_b, link.covariance)
         motion, frame = self._tracking.motion, self._tracking.motion_frame
         if motion is None or frame != prepared.index - 1:
             return None
         if self._graph[keyframe.index].fragment != self._graph[frame].fragment:
             return None
-        return self._motion_from(keyframe) @ motion
+        sigmas = self._prediction_sigmas()
+        return dense.MotionPrior(self._motion_from(keyframe) @ motion, np.diag(sigmas) ** 2)
+
+    def _prediction_sigmas(self) -> tuple[float, float, float]:
+        """Return by how much the motion varies from one frame to the next: x, y (m), theta (rad).
+
+        By the errors of the latest predictions; the free motion of a step before there are some.
+        """
+        errors = self._tracking.prediction_errors
+        if len(errors) < _MIN_PREDICTIONS:
+            return self._step_metres, self._step_metres, self._angle_radians
+        metres, radians = np.median(np.array(errors), axis=0)
+        sigma = max(_SIGMAS_OF_MEDIAN * float(metres), _MIN_SIGMA_SHARE * self._range_metres)
+        return sigma, sigma, max(_SIGMAS_OF_MEDIAN * float(radians), _MIN_SIGMA_SHARE)
 
     def predict_from_link(self, keyframe: PreparedFrame, link: Link) -> Pose2 | None:
         """Return ``keyframe_from_b`` by way of a link from another keyframe of its fragment."""

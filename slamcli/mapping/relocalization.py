@@ -19,6 +19,7 @@ from slamcli.core.records import Features, Link, PreparedFrame
 from slamcli.mapping.backend.pose_graph import PoseGraphReader
 from slamcli.mapping.keyframes import KeyframeDatabase
 from slamcli.registration import RegistrationResult, register
+from slamcli.stages import dense
 from slamcli.stages.place_index import PlaceCandidate
 
 # Multiple of the usual least number of inliers, and least correlation of the overlap's pixels.
@@ -85,10 +86,16 @@ class Relocalizer:
         """Return the keyframes that look like a frame, most votes first."""
         return self.database.query(features, excluded)
 
-    def register(self, a: int, prepared: PreparedFrame, guess: Pose2) -> RegistrationResult:
+    def register(
+        self,
+        a: int,
+        prepared: PreparedFrame,
+        guess: Pose2,
+        prior: dense.MotionPrior | None = None,
+    ) -> RegistrationResult:
         """Register a frame to a keyframe near a guess; a link is of kind ``loop``."""
         keyframe = self.database.decode(a)
-        result = register(keyframe, prepared, guess, self._calibration, self._options)
+        result = register(keyframe, prepared, guess, self._calibration, self._options, prior=prior)
         if result.link is None:
             return result
         # Boards of one print lie beside boards that differ: most of the floor must be the same.

@@ -69,8 +69,7 @@ class Tracker:
                 min_overlap = _MIN_OVERLAP_OF_THIRD if third else self._options.min_overlap
                 if guess is None or _overlap(keyframe, prepared, guess) < min_overlap:
                     continue
-            expected = self._motion_model.predict_from_motion(keyframe, prepared)
-            results.append(self.register(keyframe, prepared, guess, expected=expected))
+            results.append(self.register(keyframe, prepared, guess))
         if any(result.link is not None for result in results):
             return results
         return results + self._track_by_pixels(prepared, before)
@@ -94,13 +93,11 @@ class Tracker:
         guess: Pose2 | None = None,
         *,
         window: dense.SearchWindow | None = None,
-        expected: Pose2 | None = None,
     ) -> RegistrationResult:
         """Register one frame to another; the parameters are those of `registration.register`."""
         calibration, options = self._calibration, self._options
-        return register(
-            keyframe, prepared, guess, calibration, options, window=window, expected=expected
-        )
+        prior = self._motion_model.prior(keyframe, prepared)
+        return register(keyframe, prepared, guess, calibration, options, window=window, prior=prior)
 
     def _track_by_pixels(
         self, prepared: PreparedFrame, before: PreparedFrame | None

@@ -28,6 +28,8 @@ class TrackingState:
         ``before_from_latest`` of the latest two frames that were placed one after the other.
     motion_frame : int
         Index of the second of these.
+    prediction_errors : list of (float, float)
+        By how much the latest motions differed from the ones before: metres, radians.
     """
 
     keyframes: list[PreparedFrame] = field(default_factory=list)
@@ -36,6 +38,7 @@ class TrackingState:
     last_lost: PreparedFrame | None = None
     motion: Pose2 | None = None
     motion_frame: int = 0
+    prediction_errors: list[tuple[float, float]] = field(default_factory=list)
 
     def frames(self) -> TrackingFrames:
         """Return the state with frames by their indices, as `restore` needs it."""

@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
@@ -36,7 +37,7 @@ def register(
     options: MapperOptions,
     *,
     window: dense.SearchWindow | None = None,
-    expected: Pose2 | None = None,
+    prior: dense.MotionPrior | None = None,
 ) -> RegistrationResult:
     """Align a frame to a keyframe, and accept the motion if features and pixels support it.
 
@@ -52,17 +53,19 @@ def register(
     window : SearchWindow or None
         Given no guess: where the pixels are searched when the features are not convincing; None
         searches nowhere.
-    expected : Pose2 or None
-        Given no guess: where matches are looked for first, which is much less work; everywhere
-        when those are not convincing. It is no evidence for a motion.
+    prior : MotionPrior or None
+        What odometry, the motion model or the map's poses say of the motion. It chooses among
+        motions that the pixels support alike; given no guess, matches are looked for first where it
+        expects them, which is much less work.
     """
     near = PyramidPair(keyframe.levels, prepared.levels)
     searched_metres = 0.0 if window is None or guess is not None else window.radius_metres
-    if expected is not None and guess is None and not len(prepared.repeats):
-        context = _match(keyframe, prepared, expected, calibration, options, searched_metres)
+    make = partial(_match, keyframe, prepared, calibration, options, searched_metres, prior)
+    if prior is not None and guess is None and not _floor_repeats(prepared):
+        context = make(prior.a_from_b)
         if (result := _accept_many_features(context, near)) is not None:
             return result
-    context = _match(keyframe, prepared, guess, calibration, options, searched_metres)
+    context = make(guess)
     if not options.dense or (window is None and guess is None):
         return _register_by_features(context, near)
     by_features = _refine_features(context, near)
@@ -79,10 +82,11 @@ def register(
 def _match(
     keyframe: PreparedFrame,
     prepared: PreparedFrame,
-    guess: Pose2 | None,
     calibration: Calibration,
     options: MapperOptions,
     searched_metres: float,
+    prior: dense.MotionPrior | None,
+    guess: Pose2 | None,
 ) -> PairContext:
     """Return two frames with the alignment of their features, near a guess if there is one."""
     assert keyframe.features is not None
@@ -93,7 +97,11 @@ def _match(
         search_radius=_MATCH_RADIUS_SHARE_OF_RANGE * calibration.max_range_metres,
     )
     alignment = align.align(keyframe.features, prepared.features, matching, guess)
-    return PairContext(keyframe, prepared, alignment, calibration, options, searched_metres)
+    return PairContext(keyframe, prepared, alignment, calibration, options, searched_metres, prior)
+
+
+def _floor_repeats(prepared: PreparedFrame) -> bool:
+    return prepared.repeats is not None and len(prepared.repeats) > 0
 
 
 def _refine_features(context: PairContext, near: PyramidPair) -> MotionHypothesis | None:
@@ -119,7 +127,7 @@ def _verdict_on_features(
         acceptance.check_plausible(
             fit, context.max_displacement_metres, options, beside_features=options.dense
         )
-        or context.check_period(near, fit)
+        or context.check_rivals(near, fit)
     )
 
 

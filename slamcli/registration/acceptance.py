@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -202,15 +201,12 @@ def check_unique(rival: float, options: MapperOptions) -> str:
     )
 
 
-def check_period(
-    fit: MotionHypothesis, alternatives: Sequence[MotionHypothesis], options: MapperOptions
-) -> str:
-    """Return why a motion is ambiguous on a floor that repeats, given those a period away."""
-    for other in alternatives:
-        if other.evidence > options.max_rival_evidence * fit.evidence:
-            apart = (fit.pose.inverse() @ other.pose).translation_length
-            return f"ambiguous: the floor repeats, and a motion {apart:.2g} farther on fits as well"
-    return ""
+def check_rivals(fit: MotionHypothesis, remaining: MotionHypothesis | None) -> str:
+    """Return why a motion is ambiguous, given a rival that nothing rules out."""
+    if remaining is None:
+        return ""
+    apart = (fit.pose.inverse() @ remaining.pose).translation_length
+    return f"ambiguous: the floor repeats, and a motion {apart:.2g} farther on fits as well"
 
 
 def check_observable(fit: MotionHypothesis, range_metres: float, options: MapperOptions) -> str:

@@ -31,6 +31,15 @@ class RefinementSettings:
     # Share of the informative patches that must agree for the floor to dominate what is seen
     # [guarded by benchmarks/robustness.py: legs].
     min_floor_share: float = 0.5
+    # Share of its overlap's variance that a rival must leave unexplained, and how many times what a
+    # fit leaves, with this share of its overlap, to be ruled out. Tiles of one print leave up to
+    # 0.15 one period on [guarded by tests/registration/test_rivals.py: squared paper, right
+    # motions leave 0.06 to 0.29, wrong ones 0.53 to 0.58].
+    min_unexplained_variance: float = 0.4
+    min_unexplained_ratio: float = 2.0
+    min_overlap_ratio: float = 0.4
+    # A fit that so many informative patches agree with has no better one among less evident ones.
+    min_explained_share: float = 0.7
     # Features come this near to the truth, in pixels of the finest level and in radians: a fit
     # farther off follows obstacles [guarded by benchmarks/robustness.py: legs on bare].
     max_divergence_pixels: float = 2.0
@@ -67,6 +76,19 @@ def diverged(start: Pose2, pose: Pose2, pair: PyramidPair) -> bool:
 def mostly_obstructed(fit: MotionHypothesis) -> bool:
     """Return whether most informative patches disagree with a fit, as obstacles make them do."""
     return fit.agreement.confirmed < SETTINGS.min_floor_share
+
+
+def explains_more(fit: MotionHypothesis, rival: MotionHypothesis) -> bool:
+    """Return whether a rival leaves much of its overlap unexplained, and a fit clearly less.
+
+    By variance: a pattern that repeats correlates, but not what is written over it. A rival of
+    which a narrow strip fits does not explain more than a wide overlap.
+    """
+    shares_enough = fit.agreement.overlap >= SETTINGS.min_overlap_ratio * rival.agreement.overlap
+    left = 1.0 - max(fit.agreement.correlation, 0.0) ** 2
+    left_by_rival = 1.0 - max(rival.agreement.correlation, 0.0) ** 2
+    least = max(SETTINGS.min_unexplained_variance, SETTINGS.min_unexplained_ratio * left)
+    return shares_enough and left_by_rival >= least
 
 
 def explains_all(fit: MotionHypothesis) -> bool:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2
@@ -16,7 +15,6 @@ from slamcli.registration.hypothesis import (
     MotionHypothesis,
     PyramidPair,
     same_motion,
-    score_refined,
 )
 from slamcli.registration.refinement import refine_hypothesis
 from slamcli.stages import dense
@@ -45,6 +43,13 @@ class SearchSettings:
     # [guarded by benchmarks/robustness.py: tiles, identical-tiles].
     min_preferring_share: float = 0.15
     min_preference_ratio: float = 6.0
+    # Marks that must prefer a motion, and how many times those that prefer its rival [guarded by
+    # benchmarks/tiles.py: noise on tiles without marks makes up to two].
+    min_marks: int = 3
+    min_marks_ratio: float = 4.0
+    # A rival that shares less than this share of a fit's overlap shows too little floor to be
+    # compared by marks [guarded by tests/registration/test_rivals.py: squared paper].
+    min_compared_share: float = 0.5
     # The few pixels of the coarsest level correlate by chance: its correlation counts less this
     # [guarded by benchmarks/robustness.py: noise on bare].
     coarse_handicap: float = 0.2
@@ -94,33 +99,6 @@ def _best_peaks(
     return [peak.a_from_b for peak in kept[: options.max_hypotheses]]
 
 
-def periodic_alternatives(
-    pair: PyramidPair,
-    fit: MotionHypothesis,
-    repeats: Float64Array,
-    calibration: Calibration,
-    options: MapperOptions,
-) -> list[MotionHypothesis]:
-    """Return the motions a period of the floor away from a fit, each refined.
-
-    Parameters
-    ----------
-    pair : PyramidPair
-    fit : MotionHypothesis
-    repeats : (K, 2) float64
-        Shifts, metres in the robot's axes, by which the floor looks like itself.
-    calibration : Calibration
-    options : MapperOptions
-    """
-    alternatives = []
-    for x, y in (*repeats, *-repeats):
-        start = fit.pose @ Pose2(float(x), float(y))
-        refined = dense.refine(pair.a[:2], pair.b[:2], start, calibration, 0.0)
-        if refined is not None and not same_motion(refined.a_from_b, fit.pose, pair):
-            alternatives.append(score_refined(pair, refined))
-    return [other for other in alternatives if other.agreement.overlap >= options.min_overlap]
-
-
 def outside_open_direction(
     fits: Sequence[MotionHypothesis], best: MotionHypothesis
 ) -> list[MotionHypothesis]:
@@ -143,6 +121,19 @@ def preferred_by_patches(pair: PyramidPair, fit: MotionHypothesis, rival: Motion
         pair.a[1], pair.b[1], fit.view_a_from_view_b, rival.view_a_from_view_b
     )
     return pro >= SETTINGS.min_preferring_share and contra <= pro / SETTINGS.min_preference_ratio
+
+
+def preferred_by_marks(pair: PyramidPair, fit: MotionHypothesis, rival: MotionHypothesis) -> bool:
+    """Return whether several marks on the floor prefer a motion to its rival, and few the rival."""
+    pro, contra = dense.distinguishing_marks(
+        pair.a[0], pair.b[0], fit.view_a_from_view_b, rival.view_a_from_view_b
+    )
+    return pro >= SETTINGS.min_marks and contra <= pro / SETTINGS.min_marks_ratio
+
+
+def preferred(pair: PyramidPair, fit: MotionHypothesis, rival: MotionHypothesis) -> bool:
+    """Return whether the pixels rule a rival out beside a motion, by many patches or by marks."""
+    return preferred_by_patches(pair, fit, rival) or preferred_by_marks(pair, fit, rival)
 
 
 def coarse_similarity(pair: PyramidPair, fit: MotionHypothesis) -> float:

@@ -6,10 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
+from slamcli.core.geometry import Pose2, wrap_angle
 from slamcli.core.records import FeatureAlignment, Link, PreparedFrame
-from slamcli.registration import acceptance, confidence, criteria, hypotheses
+from slamcli.registration import acceptance, confidence, criteria, hypotheses, rivals
 from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair, same_motion
 from slamcli.registration.result import RegistrationResult, Verdict
 from slamcli.stages import dense
@@ -27,6 +29,9 @@ class PairContext:
     options : MapperOptions
     searched_metres : float
         Radius in which the pixels are searched for a motion; 0 where they are not.
+    prior : MotionPrior or None
+        What is known of the motion from elsewhere: it chooses among motions that the pixels support
+        alike, and is no evidence for any.
     """
 
     keyframe: PreparedFrame
@@ -35,6 +40,7 @@ class PairContext:
     calibration: Calibration
     options: MapperOptions
     searched_metres: float
+    prior: dense.MotionPrior | None = None
 
     @property
     def max_displacement_metres(self) -> float:
@@ -58,11 +64,14 @@ class PairContext:
         if not candidates:
             reason = self.alignment.reason or "the pixels determine no motion"
             return self.result(None, Verdict.of(reason), 1.0, search)
-        best = candidates[0]
+        best = candidates[0] if backed_by_features else self._explaining_most(candidates)
+        candidates.remove(best)
         contradicts = by_features is not None and not same_motion(by_features.pose, best.pose, pair)
         backed = backed_by_features and not contradicts
         unobservable = "" if backed else self._check_observable(best)
-        is_open, others = bool(unobservable), candidates[1:]
+        is_open, others = bool(unobservable), candidates
+        if rivals.is_expected(self.prior, best.pose):
+            others = [one for one in others if not rivals.is_excluded(self.prior, one.pose)]
         if is_open:
             others = hypotheses.outside_open_direction(others, best)
         rival = self._rival(pair, best, others)
@@ -75,7 +84,7 @@ class PairContext:
                 self.alignment, self.options, contradicts=contradicts
             )
             or acceptance.check_unique(rival, self.options)
-            or self.check_period(pair, best, is_open=is_open)
+            or self.check_rivals(pair, best, is_open=is_open)
         )
         verdict = Verdict.of(rejection)
         if is_open and not rejection:
@@ -97,6 +106,19 @@ class PairContext:
                 candidates = self._without_obstacle_motions(candidates, pair, by_features)
             candidates.append(by_features)
         return hypotheses.without_duplicates(candidates, pair)
+
+    def _explaining_most(self, candidates: Sequence[MotionHypothesis]) -> MotionHypothesis:
+        """Return the first candidate, or one after it that explains much that it does not.
+
+        Evidence counts pixels: where a pattern repeats, a wide overlap that fits the pattern alone
+        has more of it than the right motion with less in common.
+        """
+        best = candidates[0]
+        for other in candidates[1:]:
+            nearly_all = best.agreement.confirmed >= criteria.SETTINGS.min_explained_share
+            if not nearly_all and criteria.explains_more(other, best):
+                best = other
+        return best
 
     def _without_obstacle_motions(
         self, fits: Sequence[MotionHypothesis], pair: PyramidPair, by_features: MotionHypothesis
@@ -124,14 +146,16 @@ class PairContext:
             share = other.evidence / best.evidence if best.evidence > 0 else 1.0
             if share <= self.options.max_rival_evidence:
                 return share
-            if not hypotheses.preferred_by_patches(pair, best, other):
+            if not criteria.explains_more(best, other) and not hypotheses.preferred(
+                pair, best, other
+            ):
                 return share
         return 0.0
 
-    def check_period(
+    def check_rivals(
         self, near: PyramidPair, fit: MotionHypothesis, *, is_open: bool = False
     ) -> str:
-        """Return why a floor that repeats makes a fit ambiguous, or "".
+        """Return which other motion fits as well as a fit, or "".
 
         Parameters
         ----------
@@ -140,20 +164,47 @@ class PairContext:
         is_open : bool
             Whether the fit is open in some direction anyhow, as along a line.
         """
-        if near.far or not len(self.prepared.repeats):
+        if near.far:
             return ""
-        rivals = hypotheses.periodic_alternatives(
-            near, fit, self.prepared.repeats, self.calibration, self.options
-        )
+        alternatives = rivals.refined(near, fit.pose, self._suggested(fit.pose), self.calibration)
         if is_open:
-            rivals = hypotheses.outside_open_direction(rivals, fit)
-        alternatives = [
-            rival
-            for rival in rivals
-            if rival.pose.translation_length <= self.max_displacement_metres
-            and not hypotheses.preferred_by_patches(near, fit, rival)
+            alternatives = iter(hypotheses.outside_open_direction(list(alternatives), fit))
+        remaining = (rival for rival in alternatives if self._remains(near, fit, rival))
+        return acceptance.check_rivals(fit, next(remaining, None))
+
+    def _remains(self, near: PyramidPair, fit: MotionHypothesis, rival: MotionHypothesis) -> bool:
+        """Return whether neither the robot's reach nor the pixels rule a rival out."""
+        if not self._is_possible(rival.pose) or acceptance.check_plausible(
+            rival, self.max_displacement_metres, self.options
+        ):
+            return False
+        if criteria.explains_more(fit, rival):
+            return False
+        # A narrow strip fits nearly anything, and shows few marks: its total evidence counts.
+        share = hypotheses.SETTINGS.min_compared_share
+        if rival.agreement.overlap < share * fit.agreement.overlap:
+            return rival.evidence > self.options.max_rival_evidence * fit.evidence
+        return not hypotheses.preferred(near, fit, rival)
+
+    def _suggested(self, fit: Pose2) -> list[Pose2]:
+        """Return the motions that the floor and the prior suggest beside a fit."""
+        suggested = rivals.starts(fit, _periods(self.keyframe), _periods(self.prepared))
+        expected = rivals.is_expected(self.prior, fit)
+        starts = [
+            start
+            for start in suggested
+            if self._is_possible(start) and not (expected and rivals.is_excluded(self.prior, start))
         ]
-        return acceptance.check_period(fit, alternatives, self.options)
+        if self.prior is not None and rivals.is_excluded(self.prior, fit):
+            starts.insert(0, self.prior.a_from_b)
+        return starts
+
+    def _is_possible(self, pose: Pose2) -> bool:
+        """Return whether the robot may have moved so."""
+        return (
+            pose.translation_length <= self.max_displacement_metres
+            and abs(math.degrees(wrap_angle(pose.theta))) <= self.options.max_turn_degrees
+        )
 
     def result(
         self,
@@ -199,3 +250,8 @@ class PairContext:
             search,
             partial,
         )
+
+
+def _periods(frame: PreparedFrame) -> Float64Array:
+    """Return the shifts by which a frame's view looks like itself."""
+    return dense.find_periods(frame.levels[-1]) if frame.repeats is None else frame.repeats

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import top_down_calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2
@@ -58,21 +59,26 @@ def assert_near(found: Pose2 | None, expected: Pose2) -> None:
     assert abs(apart.theta) < 1e-9
 
 
+def expected_motion(drive: Drive, a: int, b: int) -> Pose2 | None:
+    prior = drive.model.prior(frame(a), frame(b))
+    return None if prior is None else prior.a_from_b
+
+
 def test_the_latest_motion_is_repeated() -> None:
     drive = Drive(4)
     assert_near(drive.tracking.motion or Pose2(), MOTION)
     assert drive.tracking.motion_frame == 3
-    assert_near(drive.model.predict_from_motion(frame(1), frame(4)), drive.motion(1, 4))
+    assert_near(expected_motion(drive, 1, 4), drive.motion(1, 4))
     # Not where a frame is missing between.
-    assert drive.model.predict_from_motion(frame(1), frame(5)) is None
+    assert drive.model.prior(frame(1), frame(5)) is None
 
 
 def test_there_is_no_motion_over_a_break_or_to_another_fragment() -> None:
     assert Drive(4, lost=(2,)).tracking.motion is None
     assert Drive(4, fragments=(0, 0, 0, 1)).tracking.motion is None
     drive = Drive(4, fragments=(0, 0, 1, 1))
-    assert drive.model.predict_from_motion(frame(1), frame(4)) is None
-    assert_near(drive.model.predict_from_motion(frame(2), frame(4)), drive.motion(2, 4))
+    assert drive.model.prior(frame(1), frame(4)) is None
+    assert_near(expected_motion(drive, 2, 4), drive.motion(2, 4))
 
 
 def test_a_link_predicts_the_motion_from_other_keyframes_of_its_fragment() -> None:
@@ -143,3 +149,25 @@ def test_a_lost_frame_is_searched_between_its_neighbours() -> None:
     apart = Drive(4, lost=(2,), fragments=(0, 0, 0, 1)).model.window_back(frame(3), frame(2))
     assert apart is not None
     assert math.isinf(apart.radius_metres)
+
+
+def test_the_spread_of_the_motion_is_learned_from_the_latest_predictions() -> None:
+    """Wide until four predictions came; then two medians of their errors, and a least."""
+    sigmas = [np.sqrt(np.diag(covariance_of(count))) for count in (5, 6, 12)]
+    for wide in sigmas[:1]:
+        assert wide == pytest.approx([STEP_METRES, STEP_METRES, math.radians(30.0)])
+    # Frame 2 changed the motion; the predictions after it are right.
+    for narrow in sigmas[1:]:
+        metres = 0.01 * CALIBRATION.max_range_metres
+        assert narrow == pytest.approx([metres, metres, 0.01])
+    drive = Drive(12)
+    drive.tracking.prediction_errors[:] = [(3.0, 0.1)] * 3 + [(5.0, 0.2)] * 4
+    prior = drive.model.prior(frame(1), frame(12))
+    assert prior is not None
+    assert np.sqrt(np.diag(prior.covariance)) == pytest.approx([10.0, 10.0, 0.4])
+
+
+def covariance_of(count: int) -> Float64Array:
+    prior = Drive(count).model.prior(frame(1), frame(count))
+    assert prior is not None
+    return prior.covariance

@@ -208,16 +208,10 @@ def test_a_rival_with_nearly_as_much_evidence_makes_a_motion_ambiguous(
     assert bool(reason) is rejected
 
 
-@pytest.mark.parametrize(("evidence", "rejected"), [(75.0, False), (75.1, True)])
-def test_a_motion_a_period_farther_on_makes_a_motion_ambiguous(
-    evidence: float, rejected: bool
-) -> None:
-    weak, other = fit_of(Pose2(5.0), evidence=1.0), fit_of(Pose2(0.35), evidence=evidence)
-    reason = acceptance.check_period(fit_of(Pose2(0.05)), [weak, other], OPTIONS)
-    assert bool(reason) is rejected
-    if rejected:
-        assert reason == "ambiguous: the floor repeats, and a motion 0.3 farther on fits as well"
-    assert acceptance.check_period(fit_of(), [], OPTIONS) == ""
+def test_a_rival_that_remains_makes_a_motion_ambiguous() -> None:
+    reason = acceptance.check_rivals(fit_of(Pose2(0.05)), fit_of(Pose2(0.35)))
+    assert reason == "ambiguous: the floor repeats, and a motion 0.3 farther on fits as well"
+    assert acceptance.check_rivals(fit_of(), None) == ""
 
 
 @pytest.mark.parametrize(("sigma", "rejected"), [(0.0299, False), (0.0301, True)])

@@ -125,6 +125,10 @@ def test_tiles_that_are_all_alike_are_ambiguous() -> None:
     assert "ambiguous" in result.reason or "open along" in result.reason
 
 
+def prior_of(motion: Pose2 | None) -> dense.MotionPrior | None:
+    return None if motion is None else dense.MotionPrior(motion, np.eye(3))
+
+
 def test_an_expected_motion_saves_work_and_is_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
     motion = Pose2(0.06, 0.01, 0.05)
     guesses: list[Pose2 | None] = []
@@ -143,7 +147,7 @@ def test_an_expected_motion_saves_work_and_is_no_evidence(monkeypatch: pytest.Mo
     links = {}
     for expected, expected_guesses in ((None, [None]), (near, [near]), (wrong, [wrong, None])):
         guesses.clear()
-        result = register(a, b, None, CALIBRATION, MapperOptions(), expected=expected)
+        result = register(a, b, None, CALIBRATION, MapperOptions(), prior=prior_of(expected))
         assert guesses == expected_guesses
         assert result.link is not None
         assert error_of(result.link.a_from_b, motion)[0] < 0.0003
@@ -152,7 +156,7 @@ def test_an_expected_motion_saves_work_and_is_no_evidence(monkeypatch: pytest.Mo
     tiles = photographer_of(stripes(0.1, both=True))
     a, b = prepared_of(tiles, Pose2(), 0), prepared_of(tiles, motion, 1)
     guesses.clear()
-    assert register(a, b, None, CALIBRATION, MapperOptions(), expected=motion).link is None
+    assert register(a, b, None, CALIBRATION, MapperOptions(), prior=prior_of(motion)).link is None
     assert guesses == [None]
 
 

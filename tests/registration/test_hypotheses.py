@@ -101,35 +101,6 @@ def test_of_equal_motions_with_about_the_same_evidence_the_most_certain_is_kept(
     assert hypotheses.without_duplicates([elsewhere, vague], PAIR) == [vague, elsewhere]
 
 
-@pytest.mark.parametrize(
-    ("pose", "overlap", "found"),
-    [(0.35, 0.1, True), (0.35, 0.099, False), (0.16, 0.5, False)],
-    ids=["a period away", "hardly shared", "the fit itself"],
-)
-def test_periodic_alternatives_are_refined_motions_other_than_the_fit(
-    monkeypatch: pytest.MonkeyPatch, pose: float, overlap: float, found: bool
-) -> None:
-    starts: list[Pose2] = []
-    other = fit_of(Pose2(pose), overlap=overlap)
-
-    def refine(*given: object) -> dense.PhotometricFit:
-        start = given[2]
-        assert isinstance(start, Pose2)
-        starts.append(start)
-        nothing = np.zeros(0)
-        return dense.PhotometricFit(
-            other.pose, other.covariance, other.pose.matrix, nothing, nothing, False
-        )
-
-    monkeypatch.setattr(dense, "refine", refine)
-    monkeypatch.setattr(hypotheses, "score_refined", lambda pair, refined: other)
-    alternatives = hypotheses.periodic_alternatives(
-        PAIR, fit_of(Pose2(0.05)), np.array([[0.3, 0.0]]), CALIBRATION, MapperOptions()
-    )
-    assert alternatives == ([other, other] if found else [])
-    assert [round(start.x, 9) for start in starts] == [0.35, -0.25]
-
-
 def test_peaks_of_less_than_two_fifths_of_the_best_ones_evidence_are_not_followed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -13,7 +13,7 @@ from hand_made_records import alignment_of, fit_of, pair_of
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import FeatureAlignment, Features, PreparedFrame
-from slamcli.registration import RegistrationResult, hypotheses, refinement, register
+from slamcli.registration import RegistrationResult, hypotheses, refinement, register, rivals
 from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair
 from slamcli.simulation import photograph
 from slamcli.simulation.config import CameraOptions
@@ -99,7 +99,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Scripted:
             refinement, "refine_on_near_view", lambda near, fit, calibration, options: fit
         )
         monkeypatch.setattr(hypotheses, "search", steps.search)
-        monkeypatch.setattr(hypotheses, "preferred_by_patches", lambda *given: False)
+        monkeypatch.setattr(hypotheses, "preferred", lambda *given: False)
         return steps
 
     return follow
@@ -121,7 +121,7 @@ def registered(
         CALIBRATION,
         MapperOptions() if options is None else options,
         window=window,
-        expected=expected,
+        prior=None if expected is None else dense.MotionPrior(expected, np.eye(3)),
     )
 
 
@@ -190,7 +190,7 @@ def test_many_features_on_a_floor_that_repeats_may_be_ambiguous(
 ) -> None:
     scripted(120, CONVINCING)
     alternatives = [fit_of(THERE, evidence=80.0)]
-    monkeypatch.setattr(hypotheses, "periodic_alternatives", lambda *given: alternatives)
+    monkeypatch.setattr(rivals, "refined", lambda *given: iter(alternatives))
     assert registered(repeats=True).reason.startswith("ambiguous: the floor repeats")
 
 
@@ -301,7 +301,7 @@ def test_otherwise_an_expected_motion_is_no_evidence(
 def test_no_motion_is_expected_beside_a_guess_or_on_a_floor_that_repeats(
     scripted: Scripted, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hypotheses, "periodic_alternatives", lambda *given: [])
+    monkeypatch.setattr(rivals, "refined", lambda *given: iter([]))
     steps = scripted(120, CONVINCING)
     registered(expected=GUESS, repeats=True)
     assert steps.taken == ["match", "refine features"]

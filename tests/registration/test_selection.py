@@ -13,12 +13,13 @@ from hand_made_records import alignment_of, fit_of, frame_of, pair_of
 from slamcli.core.arrays import Float64Array
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2
-from slamcli.registration import hypotheses
+from slamcli.registration import hypotheses, rivals
 from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair
 from slamcli.registration.result import ACCEPTED, RegistrationResult, Verdict
 from slamcli.registration.selection import PairContext
 from slamcli.simulation import photograph
 from slamcli.simulation.config import CameraOptions
+from slamcli.stages import dense
 
 CALIBRATION = photograph.make_camera(CameraOptions(size=(400, 300)))
 PAIR = pair_of()
@@ -47,7 +48,7 @@ def votes(monkeypatch: pytest.MonkeyPatch) -> Callable[[bool], None]:
     """Set whether patches prefer the best motion to every rival."""
 
     def vote(preferred: bool) -> None:
-        monkeypatch.setattr(hypotheses, "preferred_by_patches", lambda pair, fit, rival: preferred)
+        monkeypatch.setattr(hypotheses, "preferred", lambda pair, fit, rival: preferred)
 
     vote(False)
     return vote
@@ -211,12 +212,28 @@ def test_motions_of_obstacles_are_left_out_where_features_back_another(
     ("alternative", "preferred", "step", "ambiguous"),
     [
         (fit_of(ELSEWHERE, evidence=80.0), False, None, True),
-        (fit_of(ELSEWHERE, evidence=70.0), False, None, False),
+        (fit_of(ELSEWHERE, evidence=70.0), False, None, True),
+        (fit_of(ELSEWHERE, overlap=0.39, evidence=75.0), False, None, False),
+        (fit_of(ELSEWHERE, overlap=0.39, evidence=75.1), False, None, True),
+        (fit_of(ELSEWHERE, correlation=0.77), False, None, False),
+        (fit_of(ELSEWHERE, correlation=0.78), False, None, True),
+        (fit_of(ELSEWHERE, correlation=0.2, confirmed=0.3), False, None, False),
         (fit_of(ELSEWHERE, evidence=80.0), True, None, False),
         (fit_of(ELSEWHERE, evidence=80.0), False, 0.349, False),
         (fit_of(ELSEWHERE, evidence=80.0), False, 0.35, True),
     ],
-    ids=["alike", "weaker", "patches decide", "too far", "within a step"],
+    ids=[
+        "alike",
+        "fewer pixels",
+        "a weak strip",
+        "a strip",
+        "explains less",
+        "explains about as much",
+        "no fit",
+        "pixels decide",
+        "too far",
+        "within a step",
+    ],
 )
 def test_a_floor_that_repeats_makes_a_motion_ambiguous(
     monkeypatch: pytest.MonkeyPatch,
@@ -227,26 +244,64 @@ def test_a_floor_that_repeats_makes_a_motion_ambiguous(
     ambiguous: bool,
 ) -> None:
     votes(preferred)
-    monkeypatch.setattr(hypotheses, "periodic_alternatives", lambda *given: [alternative])
+    monkeypatch.setattr(rivals, "refined", lambda *given: iter([alternative]))
     options, repeats = MapperOptions(max_step_metres=step), np.array([[0.3, 0.0]])
     context = context_of(options=options, repeats=repeats)
-    reason = context.check_period(PAIR, fit_of(HERE))
+    reason = context.check_rivals(PAIR, fit_of(HERE))
     assert reason.startswith("ambiguous: the floor repeats") is ambiguous
     assert bool(reason) is ambiguous
     result = chosen(context, fit_of(HERE))
     assert (result.link is None) is ambiguous
     assert result.reason == (f"{reason} (to frame 3)" if ambiguous else "")
-    assert context_of(options=options).check_period(PAIR, fit_of(HERE)) == ""
     far = PyramidPair(PAIR.a, PAIR.b, far=True)
-    assert context.check_period(far, fit_of(HERE)) == ""
+    assert context.check_rivals(far, fit_of(HERE)) == ""
 
 
 def test_a_period_along_the_open_direction_is_no_ambiguity(
     monkeypatch: pytest.MonkeyPatch, votes: Callable[[bool], None]
 ) -> None:
     along = fit_of(Pose2(0.05, 0.3), evidence=90.0)
-    monkeypatch.setattr(hypotheses, "periodic_alternatives", lambda *given: [along])
+    monkeypatch.setattr(rivals, "refined", lambda *given: iter([along]))
     context, best = context_of(repeats=np.array([[0.0, 0.3]])), fit_of(HERE, sigmas=OPEN)
-    assert context.check_period(PAIR, best, is_open=True) == ""
-    assert context.check_period(PAIR, best).startswith("ambiguous")
+    assert context.check_rivals(PAIR, best, is_open=True) == ""
+    assert context.check_rivals(PAIR, best).startswith("ambiguous")
     assert chosen(context, best).partial is not None
+
+
+def test_the_prior_chooses_among_motions_that_the_pixels_support_alike(
+    monkeypatch: pytest.MonkeyPatch, votes: Callable[[bool], None]
+) -> None:
+    """A period on, expected or not; and what is expected where the fit surprises."""
+    votes(False)
+    begun: list[list[Pose2]] = []
+    monkeypatch.setattr(
+        rivals, "refined", lambda pair, fit, starts, calibration: begun.append(starts) or iter([])
+    )
+    period = np.array([[0.3, 0.0]])
+
+    def starts(prior: Pose2 | None, sigma: float) -> list[float]:
+        context = replace(
+            context_of(repeats=period),
+            prior=None if prior is None else dense.MotionPrior(prior, sigma**2 * np.eye(3)),
+        )
+        context.check_rivals(PAIR, fit_of(HERE))
+        return sorted(round(start.x, 9) for start in begun.pop())
+
+    assert starts(None, 1.0) == [-0.25, 0.35]
+    assert starts(HERE, 0.01) == []
+    assert starts(HERE, 0.049) == []
+    assert starts(HERE, 0.051) == [-0.25, 0.35]
+    # The fit itself is excluded: the expected motion is a rival beside those of the floor.
+    assert starts(ELSEWHERE, 0.01) == [-0.25, 0.35, 0.35]
+
+
+def test_a_motion_that_explains_much_more_is_chosen_over_a_wider_overlap() -> None:
+    """Squared paper: the grid fits over nearly all of the view, the writing only elsewhere."""
+    grid = fit_of(HERE, correlation=0.65, overlap=0.94, confirmed=0.51, evidence=200.0)
+    writing = fit_of(ELSEWHERE, correlation=0.89, overlap=0.59, confirmed=0.57, evidence=100.0)
+    context = context_of(0, reason="too few")
+    assert chosen(context, grid, writing).fit is writing
+    strip = replace(writing, agreement=replace(writing.agreement, overlap=0.37))
+    assert chosen(context, grid, strip).fit is grid
+    agreed = replace(grid, agreement=replace(grid.agreement, confirmed=0.7))
+    assert chosen(context, agreed, writing).fit is agreed

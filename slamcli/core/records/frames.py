@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
-import numpy as np
+from dataclasses import dataclass
 
 from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array
 from slamcli.core.geometry import Grid
@@ -124,8 +122,9 @@ class PreparedFrame:
         Of the view, from half resolution on.
     far_levels : tuple of PyramidLevel
         Of a coarser view of the floor beyond; empty where the camera sees no farther.
-    repeats : (K, 2) float64
-        Shifts, metres in the robot's axes, by which the view looks like itself.
+    repeats : (K, 2) float64 or None
+        Shifts, metres in the robot's axes, by which the view looks like itself; None where they
+        were not looked for yet.
     digest : bytes
         Of the frame's file; empty when there is none or it could not be read.
     """
@@ -138,7 +137,7 @@ class PreparedFrame:
     reason: str = ""
     levels: tuple[PyramidLevel, ...] = ()
     far_levels: tuple[PyramidLevel, ...] = ()
-    repeats: Float64Array = field(default_factory=lambda: np.empty((0, 2)))
+    repeats: Float64Array | None = None
     digest: bytes = b""
 
 
