@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Final, Literal
 
+import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array, UInt16Array
@@ -55,7 +56,7 @@ def light_of_gray(gray: float) -> float:
 
 def light_in_16_bits(encoded: UInt8Array) -> UInt16Array:
     """Return the light, 0 to 65535, of 8-bit sRGB values of any shape."""
-    return _light_table_of_16_bits()[encoded]
+    return np.asarray(cv2.LUT(encoded, _light_table_of_16_bits()), np.uint16)
 
 
 def encode(light: Float32Array) -> Float32Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
-from threading import Lock
+from threading import Condition
 from typing import Protocol
 
 import cv2
@@ -19,6 +19,7 @@ from slamcli.core.geometry import Grid
 from slamcli.core.light import light_in_16_bits
 from slamcli.simulation.config import FloorOptions
 from slamcli.simulation.floors import course, laid, paper, poured
+from slamcli.simulation.floors.noise import Seed
 
 BLOCK_PIXELS = 512
 # Enough for the floor before a robot; older blocks are made again when it comes back.
@@ -68,7 +69,8 @@ class BlockFloor:
         self.metres_per_pixel = metres_per_pixel
         self.in_light = in_light
         self._make_block = make_block
-        self._lock = Lock()
+        self._made = Condition()
+        self._in_work: set[tuple[int, int]] = set()
         self._blocks: OrderedDict[tuple[int, int], list[Texture]] = OrderedDict()
         self._coarse: OrderedDict[tuple[int, int], list[Texture]] = OrderedDict()
 
@@ -91,17 +93,22 @@ class BlockFloor:
         return image
 
     def _block(self, key: tuple[int, int], level: int) -> Texture:
-        """Return one level of the block at a (column, row)."""
+        """Return one level of the block at a (column, row); other threads wait for one in work."""
         first, kept = (_COARSE_LEVEL, self._coarse) if level >= _COARSE_LEVEL else (0, self._blocks)
-        with self._lock:
+        with self._made:
+            while key not in kept and key in self._in_work:
+                self._made.wait()
             if key in kept:
                 kept.move_to_end(key)
                 return kept[key][level - first]
+            self._in_work.add(key)
         levels = self._pyramid(*key)
-        with self._lock:
+        with self._made:
+            self._in_work.remove(key)
             if not first:
                 _keep(self._blocks, key, levels, _MAX_BLOCKS)
             _keep(self._coarse, key, levels[_COARSE_LEVEL:], _MAX_COARSE_BLOCKS)
+            self._made.notify_all()
         return levels[level]
 
     def _pyramid(self, column: int, row: int) -> list[Texture]:
@@ -138,15 +145,18 @@ def make_floor(
 ) -> BlockFloor:
     """Return a floor of a kind in `FLOORS`."""
     make = FLOORS[kind]
-    return BlockFloor(lambda grid: make(grid, options, seed), metres_per_pixel, in_light=in_light)
+    # Worlds of encoded gray keep the noise that they had at first.
+    number = Seed(seed, quick=in_light)
+    return BlockFloor(lambda grid: make(grid, options, number), metres_per_pixel, in_light=in_light)
 
 
 def make_wall(
     options: FloorOptions, metres_per_pixel: float, seed: int, *, in_light: bool = False
 ) -> BlockFloor:
     """Return what hangs on a wall without end: x along it, y up from the floor."""
+    number = Seed(seed, quick=in_light)
     return BlockFloor(
-        lambda grid: laid.wall(grid, options.wear, seed), metres_per_pixel, in_light=in_light
+        lambda grid: laid.wall(grid, options.wear, number), metres_per_pixel, in_light=in_light
     )
 
 
@@ -169,7 +179,7 @@ def picture_floor(
     return BlockFloor(make, metres_per_pixel, in_light=in_light)
 
 
-FLOORS: dict[str, Callable[[Grid, FloorOptions, int], UInt8Array]] = {
+FLOORS: dict[str, Callable[[Grid, FloorOptions, Seed], UInt8Array]] = {
     "asphalt": poured.asphalt,
     "bare": poured.bare,
     "carpet": laid.carpet,

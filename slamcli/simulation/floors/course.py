@@ -7,11 +7,11 @@ import numpy as np
 from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array
 from slamcli.core.geometry import Grid, apply_homography
 from slamcli.simulation.config import CourseLayout, FloorOptions
-from slamcli.simulation.floors.noise import smooth_noise
+from slamcli.simulation.floors.noise import Seed, smooth_noise
 from slamcli.simulation.floors.poured import concrete
 
 
-def course(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
+def course(grid: Grid, options: FloorOptions, seed: Seed) -> UInt8Array:
     """Paint the board on a concrete floor; `wear` 0 is pure black and white."""
     layout, wear = options.layout, options.wear
     board = _inside_board(grid, layout)
@@ -29,7 +29,7 @@ def course(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
     return np.asarray(np.clip(np.round(mixed), 0, 255), np.uint8)
 
 
-def _worn_paints(grid: Grid, wear: float, seed: int) -> tuple[Float32Array, Float32Array]:
+def _worn_paints(grid: Grid, wear: float, seed: Seed) -> tuple[Float32Array, Float32Array]:
     """Return the black and the white paint, gray (h, w): roller grain, scuffs, seams and dust."""
     grain = smooth_noise(grid, seed + 21, 0.0012)
     roller = smooth_noise(grid, seed + 22, 0.003, stretch=6.0)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array
 from slamcli.core.geometry import Grid, apply_homography
 from slamcli.simulation.config import FloorOptions
-from slamcli.simulation.floors.noise import smooth_noise, tinted
+from slamcli.simulation.floors.noise import Seed, smooth_noise, tinted
 
 PLANK_METRES = (1.2, 0.19)
 PARQUET_METRES = (0.36, 0.06)
@@ -31,7 +31,7 @@ _MARK_METRES = (0.003, 0.010)
 _MARK_CONTRASTS = (0.10, 0.40)
 
 
-def tiles(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
+def tiles(grid: Grid, options: FloorOptions, seed: Seed) -> UInt8Array:
     """Paint glazed tiles with one weak print, grout between them, and marks on each."""
     side = options.tile_metres
     x, y = _positions(grid)
@@ -46,7 +46,7 @@ def tiles(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
     return tinted((gray + _worn(grid, options.wear, seed)).astype(np.float32), (0.98, 1.0, 1.02))
 
 
-def carpet_tiles(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
+def carpet_tiles(grid: Grid, options: FloorOptions, seed: Seed) -> UInt8Array:
     """Paint carpet tiles of one print, each laid across the ones beside it."""
     side = options.tile_metres
     x, y = _positions(grid)
@@ -63,7 +63,7 @@ def carpet_tiles(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
     return tinted((gray + 4 * options.wear * trodden).astype(np.float32), (1.05, 0.98, 0.95))
 
 
-def parquet(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
+def parquet(grid: Grid, options: FloorOptions, seed: Seed) -> UInt8Array:
     """Paint a herringbone of short planks, five prints of grain."""
     length, width = PARQUET_METRES
     x, y = _positions(grid)
@@ -110,8 +110,7 @@ class Mark(NamedTuple):
 
 def tile_marks(options: FloorOptions, column: int, row: int, seed: int) -> list[Mark]:
     """Return the marks of one of the `tiles`, which is `column` and `row` tiles from the origin."""
-    # Seeds are natural numbers; the offset keeps those of tiles left of the origin so.
-    generator = np.random.default_rng([seed + _MARKS, column + 2**31, row + 2**31])
+    generator = (Seed(seed) + _MARKS).generator(column, row)
     marks = []
     for _ in range(options.marks):
         centre = generator.uniform(0.0, options.tile_metres, 2)
@@ -123,7 +122,7 @@ def tile_marks(options: FloorOptions, column: int, row: int, seed: int) -> list[
 
 
 def _marks(
-    grid: Grid, options: FloorOptions, x: Float64Array, y: Float64Array, seed: int
+    grid: Grid, options: FloorOptions, x: Float64Array, y: Float64Array, seed: Seed
 ) -> Float32Array:
     """Return what the marks leave of each pixel: 1 beside them, (h, w)."""
     left = np.ones((grid.height, grid.width), np.float32)
@@ -133,7 +132,7 @@ def _marks(
     columns = range(int((x.min() - reach) // side), int((x.max() + reach) // side) + 1)
     rows = range(int((y.min() - reach) // side), int((y.max() + reach) // side) + 1)
     for column, row in itertools.product(columns, rows):
-        for mark in tile_marks(options, column, row, seed):
+        for mark in tile_marks(options, column, row, seed.number):
             _add_mark(left, grid, mark)
     return left
 
@@ -155,7 +154,7 @@ def _add_mark(left: Float32Array, grid: Grid, mark: Mark) -> None:
     left[rows, columns] *= 1.0 + mark.contrast * np.clip(inside / rim + 0.5, 0.0, 1.0)
 
 
-def planks(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
+def planks(grid: Grid, options: FloorOptions, seed: Seed) -> UInt8Array:
     """Paint laminate: rows of planks, shifted by a third, each one of five prints of grain."""
     length, width = PLANK_METRES
     x, y = _positions(grid)
@@ -183,7 +182,7 @@ def planks(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
     return tinted((gray + _worn(grid, options.wear, seed)).astype(np.float32), (0.72, 0.95, 1.15))
 
 
-def carpet(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
+def carpet(grid: Grid, options: FloorOptions, seed: Seed) -> UInt8Array:
     """Paint loops of yarn in rows, each its own shade, and trodden patches."""
     x, y = _positions(grid)
     wobble = 0.0006 * smooth_noise(grid, seed + 51, 0.006)
@@ -195,7 +194,7 @@ def carpet(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
     return tinted(gray.astype(np.float32), (1.08, 0.98, 0.92))
 
 
-def wall(grid: Grid, wear: float, seed: int) -> UInt8Array:
+def wall(grid: Grid, wear: float, seed: Seed) -> UInt8Array:
     """Paint a wall, its foot at y 0: a skirting board, and pictures and shelves above it."""
     _, y = _positions(grid)
     hung = smooth_noise(grid, seed + 56, 0.12) > 0.9
@@ -215,24 +214,22 @@ def _positions(grid: Grid) -> tuple[Float64Array, Float64Array]:
     return x, y
 
 
-def _hashed(column: NDArray[np.int_], row: NDArray[np.int_], seed: int) -> Float64Array:
+def _hashed(column: NDArray[np.int_], row: NDArray[np.int_], seed: Seed) -> Float64Array:
     """Return a number in [-1, 1) for each piece, by its place and the seed alone."""
     left, top = int(column.min()), int(row.min())
     values = np.empty((int(row.max()) - top + 1, int(column.max()) - left + 1))
     for place in np.ndindex(values.shape):
-        # Seeds are natural numbers; the offset keeps those of pieces left of the origin so.
-        key = seed, place[1] + left + 2**31, place[0] + top + 2**31
-        values[place] = np.random.default_rng(key).uniform(-1.0, 1.0)
+        values[place] = seed.generator(place[1] + left, place[0] + top).uniform(-1.0, 1.0)
     return values[row - top, column - left]
 
 
 def _repeated(
-    printed: Callable[[float, int], Float32Array],
+    printed: Callable[[float, Seed], Float32Array],
     grid: Grid,
     size_metres: tuple[float, float],
     across: Float64Array,
     along: Float64Array,
-    seed: int,
+    seed: Seed,
 ) -> Float64Array:
     """Return a print read at positions (metres) inside a piece."""
     image = printed(grid.metres_per_pixel, seed)
@@ -243,7 +240,7 @@ def _repeated(
 
 
 @lru_cache(maxsize=4)
-def _tile_print(side_metres: float, metres_per_pixel: float, seed: int) -> Float32Array:
+def _tile_print(side_metres: float, metres_per_pixel: float, seed: Seed) -> Float32Array:
     grid = _piece(metres_per_pixel, (side_metres, side_metres))
     clouds = smooth_noise(grid, seed + 32, 0.008)
     specks = np.maximum(smooth_noise(grid, seed + 33, 0.0012) - 1.8, 0.0)
@@ -251,7 +248,7 @@ def _tile_print(side_metres: float, metres_per_pixel: float, seed: int) -> Float
 
 
 @lru_cache(maxsize=4)
-def _carpet_print(side_metres: float, metres_per_pixel: float, seed: int) -> Float32Array:
+def _carpet_print(side_metres: float, metres_per_pixel: float, seed: Seed) -> Float32Array:
     grid = _piece(metres_per_pixel, (side_metres, side_metres))
     yarn = smooth_noise(grid, seed + 37, 0.0012, stretch=3.0)
     bands = smooth_noise(grid, seed + 38, 0.01, stretch=6.0)
@@ -260,7 +257,7 @@ def _carpet_print(side_metres: float, metres_per_pixel: float, seed: int) -> Flo
 
 @lru_cache(maxsize=4 * _PRINTS)
 def _plank_print(
-    size_metres: tuple[float, float], metres_per_pixel: float, seed: int
+    size_metres: tuple[float, float], metres_per_pixel: float, seed: Seed
 ) -> Float32Array:
     grid = _piece(metres_per_pixel, size_metres)
     grain = smooth_noise(grid, seed + 43, 0.0009, stretch=30.0)
@@ -275,7 +272,7 @@ def _piece(metres_per_pixel: float, size_metres: tuple[float, float]) -> Grid:
     return Grid(0.0, height * metres_per_pixel, metres_per_pixel, width, height)
 
 
-def _worn(grid: Grid, wear: float, seed: int) -> Float32Array:
+def _worn(grid: Grid, wear: float, seed: Seed) -> Float32Array:
     """Return the traces of wear, (h, w) gray: scratches, stains and dust."""
     if wear == 0.0:
         return np.zeros((grid.height, grid.width), np.float32)

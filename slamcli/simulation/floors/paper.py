@@ -10,14 +10,14 @@ import numpy as np
 from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array
 from slamcli.core.geometry import Grid
 from slamcli.simulation.config import FloorOptions
-from slamcli.simulation.floors.noise import smooth_noise, tinted
+from slamcli.simulation.floors.noise import Seed, smooth_noise, tinted
 
 # Figures stand in cells of this side, one in three of them empty.
 _CELL_METRES = 0.05
 _RULE_GRAY, _INK_GRAY = 178.0, 52.0
 
 
-def paper(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
+def paper(grid: Grid, options: FloorOptions, seed: Seed) -> UInt8Array:
     """Paint ruled squares of `tile_metres` / 20 with lines a tenth as wide, and pen strokes."""
     square = options.tile_metres / 20.0
     matrix = grid.metres_from_pixel
@@ -35,14 +35,14 @@ def paper(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
     return tinted(gray.astype(np.float32), (1.0, 0.99, 0.97))
 
 
-def _handwriting(grid: Grid, x: Float64Array, y: Float64Array, seed: int) -> Float32Array:
+def _handwriting(grid: Grid, x: Float64Array, y: Float64Array, seed: Seed) -> Float32Array:
     """Return the share of ink in each pixel, (h, w) from 0 to 1."""
     ink = np.zeros((grid.height, grid.width), np.uint8)
     columns = range(int(x.min() // _CELL_METRES) - 1, int(x.max() // _CELL_METRES) + 2)
     rows = range(int(y.min() // _CELL_METRES) - 1, int(y.max() // _CELL_METRES) + 2)
     scale = 1.0 / grid.metres_per_pixel
     for column, row in itertools.product(columns, rows):
-        generator = np.random.default_rng([seed, column + 2**31, row + 2**31])
+        generator = seed.generator(column, row)
         if generator.uniform() < 1 / 3:
             continue
         text = str(generator.integers(0, 100))

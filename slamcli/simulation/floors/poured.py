@@ -7,10 +7,10 @@ import numpy as np
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.geometry import Grid
 from slamcli.simulation.config import FloorOptions
-from slamcli.simulation.floors.noise import smooth_noise, tinted
+from slamcli.simulation.floors.noise import Seed, smooth_noise, tinted
 
 
-def asphalt(grid: Grid, _options: FloorOptions, seed: int) -> UInt8Array:
+def asphalt(grid: Grid, _options: FloorOptions, seed: Seed) -> UInt8Array:
     """Paint stones of a few millimetres in a binder, patches, and some light and dark chips."""
     stones = smooth_noise(grid, seed + 1, 0.0016)
     fine = smooth_noise(grid, seed + 2, 0.0007)
@@ -23,7 +23,7 @@ def asphalt(grid: Grid, _options: FloorOptions, seed: int) -> UInt8Array:
     return tinted(gray, (1.02, 1.0, 0.98))
 
 
-def concrete(grid: Grid, _options: FloorOptions, seed: int) -> UInt8Array:
+def concrete(grid: Grid, _options: FloorOptions, seed: Seed) -> UInt8Array:
     """Paint a trowelled slab: grain, clouds, pores, and the sweep of the trowel."""
     grain = smooth_noise(grid, seed + 11, 0.0008)
     trowel = smooth_noise(grid, seed + 15, 0.003, stretch=4.0)
@@ -34,7 +34,7 @@ def concrete(grid: Grid, _options: FloorOptions, seed: int) -> UInt8Array:
     return tinted(gray, (0.97, 1.0, 1.02))
 
 
-def terrazzo(grid: Grid, _options: FloorOptions, seed: int) -> UInt8Array:
+def terrazzo(grid: Grid, _options: FloorOptions, seed: Seed) -> UInt8Array:
     """Paint chips of marble, from three to fifteen millimetres, ground flat in a light cement."""
     gray = 186 + 3.0 * smooth_noise(grid, seed + 71, 0.0008)
     for number, (size_metres, share) in enumerate(((0.0045, 0.9), (0.0022, 1.1), (0.0011, 1.2))):
@@ -46,7 +46,7 @@ def terrazzo(grid: Grid, _options: FloorOptions, seed: int) -> UInt8Array:
     return tinted(gray.astype(np.float32), (0.95, 1.0, 1.02))
 
 
-def bare(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
+def bare(grid: Grid, options: FloorOptions, seed: Seed) -> UInt8Array:
     """Paint a smooth sealed slab with next to no grain, and a few marks a square metre."""
     grain = smooth_noise(grid, seed + 81, 0.0010)
     clouds = smooth_noise(grid, seed + 82, 0.10)
@@ -57,7 +57,7 @@ def bare(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
     return tinted(gray, (0.98, 1.0, 1.01))
 
 
-def road(grid: Grid, options: FloorOptions, seed: int) -> UInt8Array:
+def road(grid: Grid, options: FloorOptions, seed: Seed) -> UInt8Array:
     """Paint asphalt with a dashed line along x every metre, an edge line, and cracks."""
     ground = asphalt(grid, options, seed).astype(np.float32)
     matrix = grid.metres_from_pixel
