@@ -123,13 +123,14 @@ def take(
     motion = start.inverse() @ end
     rolled = photographer.options.rolling_shutter if photographer.in_light else 0.0
     count = _BLUR_POSES if disturbances.motion_blur > 0 else 1
-    total = np.zeros((*calibration.image_size[::-1], 3), np.float32)
+    exposures = []
     for number in range(count):
         share = disturbances.motion_blur * (number / max(1, count - 1) - 0.5)
         first = start @ _part(motion, share)
         last = first if rolled == 0.0 else first @ _part(motion, rolled)
-        total += photographer.expose(Shutter(first, last), calibration, stamp)
-    return photographer.develop(total / np.float32(count), gain, disturbances, generator)
+        exposures.append(photographer.expose(Shutter(first, last), calibration, stamp))
+    light = exposures[0] if count == 1 else np.asarray(np.mean(exposures, axis=0), np.float32)
+    return photographer.develop(light, gain, disturbances, generator)
 
 
 def _part(motion: Pose2, share: float) -> Pose2:
