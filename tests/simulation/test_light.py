@@ -10,6 +10,7 @@ import pytest
 
 from slamcli.core.camera.lens import undistorted_coordinates
 from slamcli.core.geometry import Grid, Pose2, apply_homography
+from slamcli.core.light import encode, light_in_16_bits, light_of_gray
 from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import (
     CameraOptions,
@@ -17,7 +18,6 @@ from slamcli.simulation.config import (
     FloorOptions,
     ImagingOptions,
 )
-from slamcli.simulation.light import encode, light_from_encoded, light_of_gray
 from slamcli.simulation.photograph.imaging import Sensor
 
 SIZE = (320, 240)
@@ -41,7 +41,7 @@ def even(gray: float) -> np.ndarray:
 
 def test_light_and_its_code_are_inverses() -> None:
     gray = np.arange(256, dtype=np.uint8).reshape(1, 256, 1)
-    light = light_from_encoded(gray).astype(np.float32) * np.float32(255.0 / 65535.0)
+    light = light_in_16_bits(gray).astype(np.float32) * np.float32(255.0 / 65535.0)
     np.testing.assert_allclose(encode(light).ravel(), gray.ravel(), atol=0.05)
     # IEC 61966-2-1: half of the light is gray 188, and gray 128 is 21.6 % of it.
     assert float(encode(np.full((1, 1), 127.5, np.float32))[0, 0]) == pytest.approx(187.5, abs=0.1)
@@ -79,7 +79,7 @@ def test_photon_noise_grows_with_light_and_is_as_given_at_the_mid_tone() -> None
     assert code.mean() == pytest.approx(middle, abs=0.3)
     sigmas = {}
     for gray in (middle, 220.0):
-        light = light_from_encoded(develop(even(gray), PLAIN, noise_gray=4.0)).astype(float)
+        light = light_in_16_bits(develop(even(gray), PLAIN, noise_gray=4.0)).astype(float)
         sigmas[gray] = light.std()
     # The variance of a number of photons is that number.
     ratio = np.sqrt(light_of_gray(220.0) / light_of_gray(middle))
@@ -117,7 +117,7 @@ def test_sharpening_has_a_halo_and_the_lens_none() -> None:
 def test_auto_exposure_brings_all_pictures_to_the_same_mean_light() -> None:
     options = replace(PLAIN, auto_exposure=True)
     means = [
-        light_from_encoded(develop(even(gray), options, gain=gain)).mean() / 65535.0
+        light_in_16_bits(develop(even(gray), options, gain=gain)).mean() / 65535.0
         for gray, gain in ((60.0, 1.0), (200.0, 0.6))
     ]
     np.testing.assert_allclose(means, 0.18, atol=0.003)
@@ -127,7 +127,7 @@ def test_the_lamp_and_dust_stay_where_they_are() -> None:
     options = ImagingOptions(lamp_share=0.2, dust=6)
     first, second = develop(even(100.0), options), develop(even(150.0), options)
     assert np.ptp(first) > 20
-    light = [light_from_encoded(code).astype(float) for code in (first, second)]
+    light = [light_in_16_bits(code).astype(float) for code in (first, second)]
     shares = [values / np.median(values) for values in light]
     np.testing.assert_allclose(shares[0], shares[1], atol=0.03)
 
