@@ -44,6 +44,8 @@ _LARGE = {
     "239.5": "539.5",
 }
 _PROGRESS = re.compile(r"[a-z ]+ \d+/\d+$")
+# Between two lines of a small drive.
+_SECONDS_A_LINE = 0.3
 _CODES = {0, 1, 3, 130}
 
 
@@ -84,10 +86,9 @@ class Drive:
         if not self.frames.is_dir():
             self._make(size, count)
         whole = folder / "whole"
-        started = time.monotonic()
         code, said = self.run(whole, "--overwrite")
-        self.seconds = time.monotonic() - started
         assert code == 0, said
+        self.lines = sum(_PROGRESS.fullmatch(line) is not None for line in said.splitlines())
         self.expected = contents(whole)
 
     def _make(self, size: str, count: int) -> None:
@@ -148,19 +149,18 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
 
 
-def kill(drive: Drive, output: Path, share: float, ending: tuple[signal.Signals, ...]) -> Outcome:
-    """End a run by signals after a share of its time."""
-    with subprocess.Popen(
-        drive.command(output), stderr=subprocess.PIPE, stdout=subprocess.PIPE, env=_environment()
-    ) as process:
-        time.sleep(share * drive.seconds)
+def kill(drive: Drive, output: Path, line: float, ending: tuple[signal.Signals, ...]) -> Outcome:
+    """End a run by signals after a number of lines of progress; a fraction is a delay after it."""
+
+    def end(process: subprocess.Popen[str]) -> None:
+        time.sleep(line % 1 * _SECONDS_A_LINE)
         for number in ending:
             process.send_signal(number)
             time.sleep(0.05)
-        out, said = process.communicate()
+
+    cut = at_line(drive, output, int(line), end)
     names = "+".join(number.name for number in ending)
-    cut = process.returncode, (out + said).decode()
-    return drive.gone_on_with(output, names, f"{share:.3f}", cut)
+    return drive.gone_on_with(output, names, f"line {line:.2f}", cut)
 
 
 @contextlib.contextmanager
@@ -170,7 +170,16 @@ def disk(folder: Path, size: int) -> Iterator[Callable[[str], None]]:
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder], check=True)
 
     def again(options: str) -> None:
-        subprocess.run(["mount", "-o", f"remount,{options}", folder], check=True)
+        words = {
+            # Over itself, as a disk with files that are open is not made read-only.
+            "ro": [["mount", "--bind", folder, folder]],
+            "rw": [["umount", folder]],
+        }.get(options, [])
+        if options != "rw":
+            bound = "remount,bind,ro" if options == "ro" else f"remount,{options}"
+            words.append(["mount", "-o", bound, folder])
+        for one in words:
+            subprocess.run(one, check=True)
 
     try:
         yield again
@@ -206,10 +215,13 @@ def full_file(drive: Drive, output: Path, size: int) -> Outcome:
 
 
 def at_line(
-    drive: Drive, output: Path, start: str, fault: Callable[[subprocess.Popen[str]], object]
+    drive: Drive,
+    output: Path,
+    start: str | int,
+    fault: Callable[[subprocess.Popen[str]], object],
 ) -> tuple[int, str]:
-    """Run a stitch, with a fault after the first line of progress that starts so."""
-    said = ""
+    """Run a stitch, with a fault after the first line that starts so, or after so many lines."""
+    said, lines = "", 0
     with subprocess.Popen(
         drive.command(output),
         stderr=subprocess.PIPE,
@@ -218,11 +230,13 @@ def at_line(
         env=_environment(),
     ) as process:
         assert process.stderr is not None
-        for line in process.stderr:
-            said += line
-            if line.startswith(start):
-                fault(process)
+        line = ""
+        while lines < start if isinstance(start, int) else not line.startswith(start):
+            line = process.stderr.readline()
+            if not line:
                 break
+            said, lines = said + line, lines + 1
+        fault(process)
         out, rest = process.communicate()
     return process.returncode, said + rest + out
 
@@ -274,8 +288,9 @@ _SLAM = [sys.executable, "-m", "slamcli"]
 def cases(drive: Drive, kills: int, disks: int, output: Path) -> Iterator[Callable[[], Outcome]]:
     """Yield all cases, in their order."""
     for number in range(kills):
-        share, ending = (number + 0.5) / kills, ENDINGS[number % len(ENDINGS)]
-        yield lambda share=share, ending=ending: kill(drive, output, share, ending)
+        # From the start to the last line of painting, after which the results are written.
+        line, ending = (drive.lines + 1.5) * number / kills, ENDINGS[number % len(ENDINGS)]
+        yield lambda line=line, ending=ending: kill(drive, output, line, ending)
     total = sum(map(len, drive.expected.values()))
     for number in range(disks):
         # From what the first states take to more than all that is written at a time.

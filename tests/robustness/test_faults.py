@@ -21,8 +21,8 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
 @pytest.mark.parametrize(
     "fault",
     [
-        lambda drive, output: faults.kill(drive, output, 0.6, (signal.SIGKILL,)),
-        lambda drive, output: faults.kill(drive, output, 0.8, (signal.SIGINT, signal.SIGINT)),
+        lambda drive, output: faults.kill(drive, output, 3.5, (signal.SIGKILL,)),
+        lambda drive, output: faults.kill(drive, output, 6.5, (signal.SIGINT, signal.SIGINT)),
         lambda drive, output: faults.full_file(drive, output, 300_000),
         lambda drive, output: faults.vanished(drive, output, "painting"),
         lambda drive, output: faults.two_runs(drive, output, "locating"),
