@@ -69,7 +69,8 @@ def lenient(stream: TextIO | None) -> tuple[TextIO, LenientStream | None]:
     text = io.TextIOWrapper(
         io.BufferedWriter(raw),
         stream.encoding,
-        stream.errors,
+        # A name that is not UTF-8 is printed as it can be.
+        "backslashreplace" if stream.errors == "strict" else stream.errors,
         line_buffering=stream.line_buffering,
         write_through=stream.write_through,
     )

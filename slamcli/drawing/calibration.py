@@ -13,6 +13,7 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.footprint import footprint_hull
 from slamcli.core.camera.lens import distort_points, undistort_points
 from slamcli.core.geometry import Grid, apply_homography
+from slamcli.core.names import readable
 from slamcli.core.records import View
 
 PANEL_HEIGHT_PIXELS = 760
@@ -223,6 +224,7 @@ def _ring(canvas: UInt8Array, pixel: Float64Array) -> None:
 
 def _label(canvas: UInt8Array, text: str, position: tuple[int, int]) -> None:
     """Write on a light tag, readable on any floor."""
+    text = readable(text)
     (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)
     column, row = position
     corners = (column - 4, row - height - 4), (column + width + 4, row + below + 2)

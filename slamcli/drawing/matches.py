@@ -9,6 +9,7 @@ import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float64Array, UInt8Array
 from slamcli.core.geometry import apply_homography
+from slamcli.core.names import readable
 
 _INLIER_COLOUR = (60, 200, 40)
 _OUTLIER_COLOUR = (70, 70, 230)
@@ -126,7 +127,7 @@ def _draw_lines(
 
 def _text(lines: Sequence[str], width: int) -> UInt8Array:
     header = np.full((_LINE_HEIGHT * len(lines) + 8, width, 3), _BACKGROUND_GRAY, np.uint8)
-    for number, line in enumerate(lines):
+    for number, line in enumerate(map(readable, lines)):  # OpenCV's crash on any other
         (columns, _), _ = cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, 0.6, 1)
         size = 0.6 * min(1.0, (width - 16) / max(1, columns))
         position = (8, _LINE_HEIGHT * (number + 1) - 4)

@@ -12,6 +12,7 @@ import cv2
 
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.errors import InputError, OutputError
+from slamcli.core.names import readable
 from slamcli.io.images.own import marked
 
 # Of the folders whose files become results together; until then none of them is promised.
@@ -71,7 +72,7 @@ def write_chunks(path: Path, chunks: Iterable[bytes], *, durable: bool = True) -
 
 def write_text(path: Path, text: str) -> None:
     """Write a UTF-8 text file completely or not at all."""
-    write_bytes(path, text.encode())
+    write_bytes(path, readable(text).encode())
 
 
 def write_drawing(path: Path, image: UInt8Array) -> None:

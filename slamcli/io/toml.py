@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
+from slamcli.core.names import readable
 from slamcli.io.files import write_text
 
 Scalar = str | int | float | bool | tuple[str, ...] | tuple[float, ...] | None
@@ -46,4 +47,4 @@ def _literal(value: Scalar) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(map(_literal, value))}]"
     # Anything else, such as a path or a network, is written as its text.
-    return json.dumps(value, ensure_ascii=False, default=str)
+    return json.dumps(readable(str(value)), ensure_ascii=False)

@@ -71,10 +71,11 @@ class Outcome:
 
 def formats() -> dict[str, Format]:
     """Return all kinds of input, by name."""
-    sys.path.insert(0, str(HERE))
+    sys.path[:0] = [str(HERE), str(HERE.parent)]
     import picture_formats
+    import table_formats
 
-    return {**picture_formats.FORMATS}
+    return {**picture_formats.FORMATS, **table_formats.FORMATS}
 
 
 def mutation(name: str, kind: Format, corpus: Sequence[bytes], number: int) -> bytes:

@@ -36,7 +36,7 @@ _NO_COVARIANCE = np.full((3, 3), np.nan)
 
 def drive_arrays(estimates: Sequence[PoseEstimate], links: Sequence[Link]) -> dict[str, AnyArray]:
     """Return what `parse_drive` reads back; `revised` and `odom_from_robot` are left out."""
-    texts = [(e.name.encode(), e.reason.encode()) for e in estimates]
+    texts = [(_encoded(e.name), _encoded(e.reason)) for e in estimates]
     frames = [
         (e.index, e.fragment, _STATUSES.index(e.status), e.inliers, len(name), len(reason))
         for e, (name, reason) in zip(estimates, texts, strict=True)
@@ -53,6 +53,11 @@ def drive_arrays(estimates: Sequence[PoseEstimate], links: Sequence[Link]) -> di
         "link_covariances": np.array([k.covariance for k in links], "<f8").reshape(-1, 3, 3),
         "texts": np.frombuffer(b"".join(name + reason for name, reason in texts), "|u1"),
     }
+
+
+def _encoded(text: str) -> bytes:
+    """Return a text, or a name that is not UTF-8, as the bytes that it was made of."""
+    return text.encode("utf-8", "surrogateescape")
 
 
 def _numbers(estimate: PoseEstimate) -> list[float]:
@@ -88,11 +93,11 @@ def parse_drive(
         estimates.append(
             PoseEstimate(
                 index,
-                text[:name].decode("utf-8", "replace"),
+                text[:name].decode("utf-8", "surrogateescape"),
                 None if math.isnan(stamp) else stamp,
                 Pose2(x, y, theta) if placed else None,
                 _STATUSES[status],
-                text[name:].decode("utf-8", "replace"),
+                text[name:].decode("utf-8", "surrogateescape"),
                 fragment,
                 arrays["frame_covariances"][row] if placed else None,
                 inliers,
