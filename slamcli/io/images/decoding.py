@@ -134,7 +134,9 @@ def _decoded(kind: str, data: bytes, header: Header, reading: Reading) -> UInt8A
         deep = _deep(data, whole)
         bits = reading.sample_bits or _range_bits(deep)
         if bits < 16:
-            return _reduced(np.minimum(deep >> (bits - 8), 255).astype(np.uint8), reading.factor)
+            # In place: a picture may be large.
+            np.minimum(np.right_shift(deep, bits - 8, out=deep), 255, out=deep)
+            return _reduced(deep.astype(np.uint8), reading.factor)
     if kind == formats.TIFF and header.size != (header.width, header.height):
         # OpenCV reduces a picture to the sides that it had before it was turned.
         return _reduced(np.asarray(_opencv(data, whole), dtype=np.uint8), reading.factor)

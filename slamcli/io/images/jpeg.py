@@ -45,7 +45,7 @@ _DAMAGE = ("Corrupt JPEG data", "Premature end")
 # A block of 8x8 pixels takes one bit or more of each scan that has its first coefficient.
 _MAX_PIXELS_PER_BYTE = 512
 # Each scan of a progressive picture costs a pass over all blocks; encoders write about ten.
-_MAX_SCANS = 200
+_MAX_SCANS, _MAX_SCANNED_PIXELS = 200, 3_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +164,8 @@ def _header(
     header = Header(width, height, orientation=turn)
     if width * height > _MAX_PIXELS_PER_BYTE * len(data):
         raise truncated()
-    if marker == _PROGRESSIVE and data.count(_SCAN, scan[1]) > _MAX_SCANS:
+    scans = data.count(_SCAN, scan[1]) if marker == _PROGRESSIVE else 0
+    if scans > min(_MAX_SCANS, _MAX_SCANNED_PIXELS // (width * height)):
         raise FrameError("damaged: the JPEG has more scans than any encoder writes")
     # Other codes than Huffman's and scans of the luma alone have their own meaning of zeros.
     # Without tables the standard ones hold, whose first luma symbol is 1.

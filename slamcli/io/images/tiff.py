@@ -12,7 +12,7 @@ from slamcli.io.images.header import Header, truncated
 
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _WIDTH, _HEIGHT, _BITS, _ORIENTATION = 256, 257, 258, 274
-_COMPRESSION, _SAMPLES = 259, 277
+_COMPRESSION, _SAMPLES, _TILE_WIDTH, _TILE_HEIGHT = 259, 277, 322, 323
 _OFFSETS, _COUNTS = (273, 324), (279, 325)  # of strips, of tiles
 _FORMATS = {1: "B", 3: "H", 4: "I", 16: "Q"}
 _MAX_PAGES = 10_000
@@ -27,7 +27,11 @@ _SUSPECT = (b"\0" * 32, b"\xff" * 32)
 _SPARE_BYTES = 65_536
 
 
-_WANTED = {_WIDTH, _HEIGHT, _BITS, _ORIENTATION, _COMPRESSION, _SAMPLES, *_OFFSETS, *_COUNTS}
+_WANTED = {
+    *(_WIDTH, _HEIGHT, _BITS, _ORIENTATION, _COMPRESSION, _SAMPLES, _TILE_WIDTH, _TILE_HEIGHT),
+    *_OFFSETS,
+    *_COUNTS,
+}
 
 
 class _Walker:
@@ -82,6 +86,8 @@ def read_header(data: bytes) -> Header:
     method = _first(tags, _COMPRESSION)
     if method not in _READ_METHODS:
         raise FrameError(f"a TIFF of compression {method} cannot be read; save it as PNG")
+    if tags.get(_TILE_WIDTH) and tags.get(_TILE_HEIGHT):
+        Header(tags[_TILE_WIDTH][0], tags[_TILE_HEIGHT][0], bits)  # the same limits
     turn = _first(tags, _ORIENTATION)
     header = Header(tags[_WIDTH][0], tags[_HEIGHT][0], bits, turn if 1 <= turn <= 8 else 1)
     if any(offset + count > len(data) for offset, count in _parts(tags)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import struct
 import zlib
@@ -23,6 +24,7 @@ from slamcli.io.frames import (
     read_size,
 )
 from slamcli.io.images import decoding
+from slamcli.io.images.header import Header
 
 PICTURE = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
 
@@ -110,6 +112,30 @@ def test_a_declared_size_has_a_limit(tmp_path: Path) -> None:
     place = jpeg.find(b"\xff\xc0") + 5
     wide = jpeg[:place] + struct.pack(">HH", 12000, 12000) + jpeg[place + 4 :]
     assert "truncated" in reason(tmp_path, wide)
+
+
+def test_scans_over_many_pixels_are_bounded(tmp_path: Path) -> None:
+    """Each is a pass over all blocks, whatever few bytes it has."""
+    whole = io.BytesIO()
+    Image.fromarray(PICTURE).save(whole, "JPEG", progressive=True)
+    data = whole.getvalue()
+    place, scan = data.find(b"\xff\xc2") + 5, data.rfind(b"\xff\xda")
+    wide = data[:place] + struct.pack(">HH", 12000, 12000) + data[place + 4 : scan]
+    wide += 30 * data[scan:-2] + bytes(1_000_000) + b"\xff\xd9"
+    assert "more scans than any encoder writes" in reason(tmp_path, wide)
+
+
+def test_tiles_have_the_limits_of_pictures(tmp_path: Path) -> None:
+    tags = ((256, 64), (257, 48), (258, 8), (259, 1), (322, 60000), (323, 60000), (324, 8))
+    entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags)
+    data = b"II*\0" + struct.pack("<IH", 8, len(tags)) + entries + bytes(5000)
+    assert "60000x60000 pixels, too many" in reason(tmp_path, data)
+
+
+def test_of_deep_samples_fewer_pixels_are_decoded() -> None:
+    assert Header(9000, 9000).size == (9000, 9000)
+    with pytest.raises(FrameError, match="9000x9000 pixels, too many"):
+        Header(9000, 9000, sample_bits=16)
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".tif", ".bmp", ".ppm", ".gif"])
