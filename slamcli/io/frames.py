@@ -13,6 +13,7 @@ from slamcli.core.errors import FrameError, InputError
 from slamcli.core.records import Frame
 from slamcli.io.images import canvas
 from slamcli.io.images.decoding import Reading, decode, picture_size, read_bytes, sample_bits
+from slamcli.io.images.light import StaticLight
 from slamcli.io.images.own import is_marked
 
 IMAGE_SUFFIXES = frozenset(
@@ -45,6 +46,8 @@ class FrameFile:
     canvas : (int, int) or None
         Width and height that the picture is brought to when it has another size: see
         `images.canvas`.
+    light : StaticLight or None
+        A pattern that is taken out of the picture.
     """
 
     index: int
@@ -54,6 +57,7 @@ class FrameFile:
     camera_size: tuple[int, int] | None = None
     digest: bytes = b""
     canvas: tuple[int, int] | None = None
+    light: StaticLight | None = None
 
     @property
     def name(self) -> str:
@@ -127,6 +131,7 @@ def read_frame(file: FrameFile, *, gray: bool = False, halved: bool = False) -> 
         raise FrameError("the file has changed since it was read first")
     factor = 2 if halved and not gray else 1
     image, mask = _decoded(file, data, gray=gray, factor=1 if file.canvas else factor)
+    image = image if file.light is None else file.light.evened(image)
     if file.canvas is not None:
         image, mask = canvas.on_canvas(image, mask, file.canvas)
         image = canvas.halved(image) if factor == 2 else image

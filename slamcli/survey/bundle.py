@@ -19,10 +19,10 @@ from slamcli.core.robust import RAYLEIGH_MEDIAN
 from slamcli.survey.pairs import Pair
 from slamcli.survey.projection import LOG_SCALE, PITCH, ROLL, STATES, project, undistort
 
-# A pair counts for at most this many independent matches: what errors they have, of relief and
-# lens, they have in common [benchmarks/real_sets.py: with all 150 the tilt of flat seabeds goes to
-# 20 degrees].
-_INDEPENDENT_MATCHES = 10.0
+# A pair counts for at most this many independent matches while the mount is learned: what errors
+# they have, of relief and lens, they have in common [benchmarks/real_sets.py: with all 150 the tilt
+# of seabeds is learned as 20 degrees]. With the mount known all of them count, for a sharper map.
+CAUTIOUS_MATCHES, ALL_MATCHES = 10.0, 1e9
 # Cauchy's scale and the assumed noise, from the median residual, and their floors.
 _KERNEL_SIGMAS, _MIN_KERNEL_PIXELS, _MIN_NOISE_PIXELS = 3.0, 1.0, 0.1
 _ITERATIONS, _TRIALS, _CONVERGED_SHARE = 25, 8, 1e-5
@@ -103,7 +103,7 @@ class Bundle:
 class _Matches:
     """The matches of all pairs as arrays: where each frame's points are transferred to."""
 
-    def __init__(self, pairs: Sequence[Pair], number: dict[int, int]) -> None:
+    def __init__(self, pairs: Sequence[Pair], number: dict[int, int], independent: float) -> None:
         counts = np.array([len(pair.pixels_a) for pair in pairs])
         self.pair = np.repeat(np.arange(len(pairs)), counts)
         a = np.repeat([number[pair.a] for pair in pairs], counts)
@@ -115,7 +115,7 @@ class _Matches:
         self.source, self.target = np.where(turned, b, a), np.where(turned, a, b)
         self.seen = np.where(turned[:, None], pixels_b, pixels_a)
         self.expected = np.where(turned[:, None], pixels_a, pixels_b)
-        self.weight = np.minimum(1.0, _INDEPENDENT_MATCHES / counts)[self.pair]
+        self.weight = np.minimum(1.0, independent / counts)[self.pair]
         self.pairs = len(pairs)
 
     def __len__(self) -> int:
@@ -265,6 +265,7 @@ def adjust(
     mount: Mount,
     *,
     lens_known: bool = False,
+    independent: float = CAUTIOUS_MATCHES,
 ) -> Bundle:
     """Return the adjustment of the states of `frames`, from a first guess.
 
@@ -277,8 +278,11 @@ def adjust(
     states : (N, 6) float64
     lens_known : bool
         Leave the lens's bend as it is.
+    independent : float
+        For how many independent matches a pair counts at most.
     """
-    matches = _Matches(pairs, {frame: number for number, frame in enumerate(frames)})
+    numbers = {frame: number for number, frame in enumerate(frames)}
+    matches = _Matches(pairs, numbers, independent)
     prior, free = _prior(states, lens, mount, lens_known=lens_known)
     solver = _Solver(matches, prior, free, lens.radius_pixels)
     solver.run()

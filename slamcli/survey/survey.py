@@ -10,7 +10,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from slamcli.survey import candidates
-from slamcli.survey.bundle import Bundle, Lens, Mount, adjust, learned_mount
+from slamcli.survey.bundle import ALL_MATCHES, Bundle, Lens, Mount, adjust, learned_mount
 from slamcli.survey.candidates import NumberPair
 from slamcli.survey.features import SurveyFeatures
 from slamcli.survey.network import connected, first_states, rescaled
@@ -140,8 +140,26 @@ def _solve(pairs: Sequence[Pair], frames: int, lens: Lens) -> tuple[list[SurveyM
 
 def _with_lens(one: SurveyMap, lens: Lens) -> SurveyMap:
     """Return a small map adjusted anew with the lens of the largest, which determines it better."""
-    states, mount = rescaled(one.bundle.states), one.bundle.mount
-    return replace(one, bundle=adjust(one.pairs, one.frames, states, lens, mount, lens_known=True))
+    states, mount = one.bundle.states, one.bundle.mount
+    bundle = adjust(one.pairs, one.frames, states, lens, mount, lens_known=True)
+    return replace(one, bundle=_sharpened(bundle, one.pairs, one.frames, lens_known=True))
+
+
+def _sharpened(
+    bundle: Bundle, pairs: Sequence[Pair], frames: Sequence[int], *, lens_known: bool = False
+) -> Bundle:
+    """Return a bundle adjusted to all matches with its own mount; its information stays."""
+    states, lens, mount = rescaled(bundle.states), bundle.lens, bundle.mount
+    sharp = adjust(
+        pairs, frames, states, lens, mount, lens_known=lens_known, independent=ALL_MATCHES
+    )
+    return replace(
+        sharp,
+        states=rescaled(sharp.states),
+        information=bundle.information,
+        free=bundle.free,
+        noise_pixels=bundle.noise_pixels,
+    )
 
 
 def _solve_connected(
@@ -167,7 +185,7 @@ def _solve_connected(
         parts = connected(pairs, max(members) + 1)
         if len(parts[0]) < len(members):
             return None, contradicted
-    bundle = replace(bundle, states=rescaled(bundle.states))
+    bundle = _sharpened(bundle, pairs, members)
     return SurveyMap(tuple(members), bundle, tuple(pairs)), contradicted
 
 

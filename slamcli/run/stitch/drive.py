@@ -21,6 +21,7 @@ from slamcli.run.session.session import Session
 from slamcli.run.stitch import exports
 from slamcli.run.stitch.extend import open_extension
 from slamcli.run.stitch.options import StitchOptions
+from slamcli.run.stitch.static_light import without_static_light
 from slamcli.run.telemetry import Telemetry, TelemetryFiles, feed, read_telemetry
 from slamcli.selfcal import RegisteredDrive, SelfCalibration
 
@@ -143,6 +144,9 @@ def open_drive(
         extension = open_extension(options.extend, sources, options.frame_rate)
         inputs, sources = extension.inputs, extension.sources
         options = replace(options, mapper=extension.options(options.mapper))
+    alone = inputs.calibration_path is None and extension is None and not telemetry_files.any
+    if alone and options.mount == "auto":
+        inputs = replace(inputs, files=without_static_light(inputs.files, session))
     if session.scheduler:
         # The cluster's workers run in folders of their own.
         absolute = [replace(file, path=file.path.absolute()) for file in inputs.files]
