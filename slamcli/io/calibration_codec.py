@@ -33,6 +33,7 @@ _SIGMAS = (
     "height_sigma_metres",
     "pitch_sigma_radians",
     "roll_sigma_radians",
+    "scale_sigma",
 )
 # A robot_from_image rounded by hand still agrees with the mounting to this share of its distances
 # [guarded by tests/io/test_calibrations.py: six digits of each number].

@@ -176,6 +176,8 @@ def calibration_text(calibration: Calibration, origin: CalibrationSource | None 
             f"  height_sigma_metres: {_text(calibration.height_sigma_metres)}",
             f"  pitch_sigma_degrees: {_text(_degrees(calibration.pitch_sigma_radians))}",
             f"  roll_sigma_degrees: {_text(_degrees(calibration.roll_sigma_radians))}",
+            f"  scale_sigma: {_text(calibration.scale_sigma)}  # of lengths on the floor, a share"
+            ", with all of these together",
             f"  max_range_metres: {_text(calibration.max_range_metres)}"
             "  # floor beyond this distance is not used",
             "  # Undistorted pixel (column, row, 1) to floor metres (x, y, 1), up to scale.",
@@ -277,6 +279,7 @@ def _mounting_section(ground: dict[str, Any]) -> dict[str, float]:
         "height_sigma_metres": _number(ground, "height_sigma_metres", math.nan),
         "pitch_sigma_radians": math.radians(_number(ground, "pitch_sigma_degrees", math.nan)),
         "roll_sigma_radians": math.radians(_number(ground, "roll_sigma_degrees", math.nan)),
+        "scale_sigma": _number(ground, "scale_sigma", math.nan),
     }
 
 

@@ -37,6 +37,7 @@ from slamcli.mapping.motion_model import MotionModel
 from slamcli.mapping.preprocessing import Preprocessor
 from slamcli.mapping.relocalization import Relocalizer
 from slamcli.mapping.saved_state import MapperState
+from slamcli.mapping.scale_error import with_scale_error
 from slamcli.mapping.tracking import Tracker
 from slamcli.mapping.tracking_state import TrackingState
 from slamcli.registration import RegistrationResult
@@ -90,9 +91,12 @@ class Mapper:
 
     @property
     def estimates(self) -> list[PoseEstimate]:
-        """One for every frame so far, sorted by index, as revised by all that followed."""
+        """One for every frame so far, sorted by index, as revised by all that followed.
+
+        Covariances include the calibration's error of scale.
+        """
         with self._lock:
-            return self._graph.estimates
+            return with_scale_error(self._graph.estimates, self.calibration.scale_sigma)
 
     @property
     def links(self) -> list[Link]:

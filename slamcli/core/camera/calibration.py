@@ -48,6 +48,9 @@ class Calibration:
         Distance on the floor from the robot's origin beyond which the image is not used.
     focal_sigma_pixels, height_sigma_metres, pitch_sigma_radians, roll_sigma_radians : float
         One standard deviation of each; nan where it is not known.
+    scale_sigma : float
+        One standard deviation, as a share, of lengths on the floor in view: less than that of the
+        height, as the errors of the numbers above make up for one another. nan where not known.
     unit : str
         ``m``; ``h`` for a camera found by its frames alone, where every "metre" is the camera's
         height; or ``px`` for top-down frames without a calibration, where every "metre" is a pixel
@@ -67,6 +70,7 @@ class Calibration:
     height_sigma_metres: float = float("nan")
     pitch_sigma_radians: float = float("nan")
     roll_sigma_radians: float = float("nan")
+    scale_sigma: float = float("nan")
     unit: Unit = "m"
 
     @property

@@ -8,7 +8,7 @@ covariance, refines it together with the focal length where that is not known.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration, Intrinsics
 from slamcli.core.camera.footprint import choose_max_range, seen_floor
 from slamcli.core.camera.lens import image_centre
-from slamcli.core.camera.mounting import image_from_robot_homography
+from slamcli.core.camera.mounting import compose_robot_from_image, image_from_robot_homography
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import Pose2, apply_homography, invert
 from slamcli.core.robust import fit_rigid_2d
@@ -32,6 +32,7 @@ _MAX_FOCAL_SIGMA_SHARE = 0.25
 # Nearer to straight down, the direction ahead and the roll are noise.
 _MAX_PITCH_RADIANS = math.radians(89.9)
 _MAX_LOG_HEIGHT = 20.0
+_SLOPE_STEP = 1e-5
 # A residual of more sigmas than this is reported: the target may be no flat square.
 MISFIT_SIGMAS = 4.0
 _NO_CAMERA = (
@@ -69,6 +70,8 @@ class Mounting:
     height_metres, pitch_radians, roll_radians : float
     sigmas : (4,) float64
         Of focal, height, pitch, roll in the units above; focal 0 when it was given.
+    covariance : (4, 4) float64
+        Of log focal, log height, pitch and roll.
     robot_from_target : Pose2
         Where the target lies on the floor.
     residual_pixels : float
@@ -82,6 +85,7 @@ class Mounting:
     pitch_radians: float
     roll_radians: float
     sigmas: Float64Array
+    covariance: Float64Array
     robot_from_target: Pose2
     residual_pixels: float
     misfit_sigmas: float
@@ -170,8 +174,33 @@ def make_calibration(
         pitch_sigma_radians=float(mounting.sigmas[2]),
         roll_sigma_radians=float(mounting.sigmas[3]),
     )
-    seen_floor(calibration)
-    return calibration
+    return replace(calibration, scale_sigma=_scale_sigma(calibration, mounting))
+
+
+def _scale_sigma(calibration: Calibration, mounting: Mounting) -> float:
+    """Return one standard deviation, as a share, of lengths between floor points in view."""
+    floor = seen_floor(calibration)
+    pixels = apply_homography(calibration.image_from_robot, floor)
+    centred = floor - floor.mean(axis=0)
+    # Of log focal, log height, pitch and roll.
+    slopes = np.zeros(4)
+    slopes[1] = 1.0
+    for number in (0, 2, 3):
+        lengths = []
+        for sign in (-1.0, 1.0):
+            change = np.zeros(4)
+            change[number] = sign * _SLOPE_STEP
+            zoom = math.exp(change[0])
+            robot_from_image = compose_robot_from_image(
+                calibration.camera_matrix @ np.diag([zoom, zoom, 1.0]),
+                calibration.height_metres,
+                calibration.pitch_radians + change[2],
+                calibration.roll_radians + change[3],
+            )
+            moved = apply_homography(robot_from_image, pixels)
+            lengths.append(float(np.sum(centred * (moved - moved.mean(axis=0)))))
+        slopes[number] = (lengths[1] - lengths[0]) / (2.0 * _SLOPE_STEP * float(np.sum(centred**2)))
+    return math.sqrt(float(slopes @ mounting.covariance @ slopes))
 
 
 def _refine(points: FloorPoints, camera_matrix: Float64Array, *, focal_free: bool) -> Mounting:
@@ -200,11 +229,11 @@ def _refine(points: FloorPoints, camera_matrix: Float64Array, *, focal_free: boo
     freedom = max(len(solution.fun) - len(solution.x), 1)
     misfit = math.sqrt(float(solution.fun @ solution.fun) / freedom)
     jacobian = np.asarray(solution.jac, dtype=np.float64)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(1.0, misfit) ** 2
-    sigmas = np.sqrt(np.diag(covariance))
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    covariance = np.asarray(inverse * max(1.0, misfit) ** 2, dtype=np.float64)
     if not focal_free:
-        sigmas = np.concatenate([[0.0], sigmas])
-    return _to_mounting(points, camera_matrix, values, sigmas, misfit)
+        covariance = np.pad(covariance, ((1, 0), (1, 0)))
+    return _to_mounting(points, camera_matrix, values, covariance[:4, :4], misfit)
 
 
 def _check_mounting(values: Float64Array) -> None:
@@ -223,10 +252,11 @@ def _to_mounting(
     points: FloorPoints,
     camera_matrix: Float64Array,
     values: Float64Array,
-    sigmas: Float64Array,
+    covariance: Float64Array,
     misfit_sigmas: float,
 ) -> Mounting:
-    """Return the mounting of (7,) values and the sigmas of the first four."""
+    """Return the mounting of (7,) values and the covariance of the first four."""
+    sigmas = np.sqrt(np.diag(covariance))
     log_zoom, log_height, pitch, roll, x, y, yaw = values
     focal = math.sqrt(float(camera_matrix[0, 0] * camera_matrix[1, 1])) * math.exp(log_zoom)
     height = math.exp(log_height)
@@ -237,6 +267,7 @@ def _to_mounting(
         pitch_radians=float(pitch),
         roll_radians=float(roll),
         sigmas=np.array([focal * sigmas[0], height * sigmas[1], sigmas[2], sigmas[3]]),
+        covariance=covariance,
         robot_from_target=Pose2(float(x), float(y), float(yaw)),
         residual_pixels=float(np.sqrt(np.mean(np.sum(difference**2, axis=1)))),
         misfit_sigmas=misfit_sigmas,
