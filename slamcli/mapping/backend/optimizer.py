@@ -185,8 +185,8 @@ class BatchOptimizer:
             offsets.east_north_from_map,
             offsets.east_north_covariance,
             offsets.lever_arm_metres,
-            readings,
-            len(solution.position_outliers),
+            readings + self._sensors.no_fixes,
+            len(solution.position_outliers) + self._sensors.no_fixes,
         )
 
     def _initial_poses(self, group: list[int], chain: list[Link]) -> InitialPoses:

@@ -26,6 +26,8 @@ _STAMP = attrgetter("stamp")
 # An angle offset with a smaller sigma is known: from then on windows may take it as a prior.
 # [guarded by tests/mapping/backend/test_sensors.py]
 _MAX_KNOWN_SIGMA_RADIANS = 0.1
+# Nobody drives nearer to a pole; the plane of a datum there has no east. [by definition]
+_MAX_LATITUDE_DEGREES = 89.9
 
 
 class StampedFrame(Protocol):
@@ -53,6 +55,8 @@ class Sensors:
     def __init__(self, options: TelemetryOptions | None = None) -> None:
         self.options = options or TelemetryOptions()
         self.datum_degrees: tuple[float, float] | None = None
+        # GPS readings of a receiver without a fix: outliers from the start.
+        self.no_fixes = 0
         self._track = telemetry.OdometryTrack(self.options)
         self._compass: list[CompassReading] = []
         self._gps: list[GpsReading] = []
@@ -90,7 +94,14 @@ class Sensors:
         insort(self._compass, reading, key=_STAMP)
 
     def gps(self, reading: GpsReading) -> None:
-        """Add a reading; the first one is the datum. Raises InputError without pyproj."""
+        """Add a reading; the first one is the datum. Raises InputError without pyproj.
+
+        Receivers without a fix report 0, 0 or a pole: these are no datum, as the readings that
+        follow would lie beyond its plane.
+        """
+        if _is_no_fix(reading):
+            self.no_fixes += 1
+            return
         if self._plane is None:
             self.datum_degrees = (float(reading.latitude_degrees), float(reading.longitude_degrees))
             self._plane = LocalPlane(self.datum_degrees)
@@ -132,6 +143,8 @@ class Sensors:
                 east, north = self._plane.east_north(
                     reading.latitude_degrees, reading.longitude_degrees
                 )
+                if not (math.isfinite(east) and math.isfinite(north)):
+                    continue
                 positions.append(
                     PositionReading(index, motion, east, north, reading.sigma_metres, share)
                 )
@@ -188,3 +201,9 @@ class Sensors:
             return none
         share = (stamp - moments[after - 1]) / (moments[after] - moments[after - 1])
         return first.index, begin.inverse() @ telemetry.interpolate(begin, end, share)
+
+
+def _is_no_fix(reading: GpsReading) -> bool:
+    """Return whether a reading lies where receivers without a fix say that they are."""
+    latitude, longitude = abs(reading.latitude_degrees), abs(reading.longitude_degrees)
+    return latitude > _MAX_LATITUDE_DEGREES or (latitude == 0.0 and longitude == 0.0)

@@ -164,6 +164,24 @@ def test_gps_and_compass_survive_outliers_and_place_the_map_on_earth() -> None:
     assert rmse(fused, truth) < 0.5 * rmse(alone, truth)
 
 
+@pytest.mark.parametrize("wrong", [0, 3])
+def test_a_receiver_without_a_fix_and_wrong_fixes_at_the_start_are_outliers(
+    wrong: int,
+) -> None:
+    truth, sensors = winding(60, 0.3), Sensors()
+    backend = drive(truth, sensors, 1, 0.001)
+    for place in ((0.0, 0.0), (90.0, 0.0), (-90.0, 180.0)):
+        sensors.gps(GpsReading(0.0, *place, 0.05))
+    places = np.array([(p.x, p.y) for p in (EARTH_FROM_MAP @ t for t in truth)])
+    places[:wrong] += 1108.0
+    for index, place in enumerate(geodetic_from_local(places, DATUM).tolist()):
+        sensors.gps(GpsReading(index / RATE_HERTZ, *place, 0.05))
+    backend.solve()
+    reference = backend.graph.georeferences[0]
+    assert reference.outliers == 3 + wrong
+    assert earth_errors(backend, truth).max() < 0.05
+
+
 def test_fused_with_gps_and_compass_a_drive_is_as_good_as_by_vision_alone() -> None:
     """Vision is so precise that poor readings change it by chance, by a few hundredths.
 
