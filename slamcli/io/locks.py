@@ -52,7 +52,9 @@ def lock_on(folder: Path) -> Iterator[None]:
             os.close(descriptor)
             path.unlink(missing_ok=True)
         else:
-            path.unlink(missing_ok=True)
+            # On a disk that has become read-only the file stays; it has no meaning by itself.
+            with suppress(OSError):
+                path.unlink()
             os.close(descriptor)
 
 

@@ -127,7 +127,9 @@ class Drive:
         code, said = cut
         stages = [line for line in said.splitlines() if _PROGRESS.fullmatch(line)]
         killed = code == -signal.SIGKILL
-        left = [] if killed else [*output.glob(".partial-*"), *output.glob(".lock")]
+        # From a disk that is read-only nothing is deleted.
+        kept = killed or kind == "read-only"
+        left = [] if kept else [*output.glob(".partial-*"), *output.glob(".lock")]
         # Before the program has begun, a signal ends Python itself.
         begun = bool(stages)
         clean = "Traceback" not in said and not left and (not begun or killed or code in _CODES)
