@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slamcli.core.config import MapperOptions
+from slamcli.core.geometry import Pose2
 from slamcli.core.records import FeatureAlignment
 from slamcli.registration import hypotheses
 from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair
@@ -207,6 +208,15 @@ def check_rivals(fit: MotionHypothesis, remaining: MotionHypothesis | None) -> s
         return ""
     apart = (fit.pose.inverse() @ remaining.pose).translation_length
     return f"ambiguous: the floor repeats, and a motion {apart:.2g} farther on fits as well"
+
+
+def expected_elsewhere(fit: MotionHypothesis, expected: Pose2) -> str:
+    """Return why a motion is ambiguous that a pattern may imitate, given the expected one."""
+    apart = (fit.pose.inverse() @ expected).translation_length
+    return (
+        f"ambiguous: the robot is expected {apart:.2g} farther on, "
+        "where the views share too little floor to tell"
+    )
 
 
 def check_observable(fit: MotionHypothesis, range_metres: float, options: MapperOptions) -> str:

@@ -38,7 +38,8 @@ class RefinementSettings:
     min_unexplained_variance: float = 0.4
     min_unexplained_ratio: float = 2.0
     min_overlap_ratio: float = 0.4
-    # A fit that so many informative patches agree with has no better one among less evident ones.
+    # What so many informative patches agree with leaves nothing of the floor unexplained: brightness
+    # alone, as a lamp's at the edge of a view, lowers the correlation of a narrow overlap.
     min_explained_share: float = 0.7
     # Features come this near to the truth, in pixels of the finest level and in radians: a fit
     # farther off follows obstacles [guarded by benchmarks/robustness.py: legs on bare].
@@ -88,7 +89,8 @@ def explains_more(fit: MotionHypothesis, rival: MotionHypothesis) -> bool:
     left = 1.0 - max(fit.agreement.correlation, 0.0) ** 2
     left_by_rival = 1.0 - max(rival.agreement.correlation, 0.0) ** 2
     least = max(SETTINGS.min_unexplained_variance, SETTINGS.min_unexplained_ratio * left)
-    return shares_enough and left_by_rival >= least
+    explained = rival.agreement.confirmed >= SETTINGS.min_explained_share
+    return shares_enough and not explained and left_by_rival >= least
 
 
 def explains_all(fit: MotionHypothesis) -> bool:

@@ -15,6 +15,7 @@ import numpy as np
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Pose2, invert, wrap_angle
+from slamcli.core.records import PyramidLevel
 from slamcli.registration.hypothesis import (
     MotionHypothesis,
     PyramidPair,
@@ -31,6 +32,9 @@ _MIN_EXCLUDED = 36.0
 # Of the rivals that a floor suggests, those followed, nearest first: a lattice has eight
 # neighbours [guarded by benchmarks/tiles.py].
 _MAX_RIVALS = 8
+# Marks by which a view must differ from itself, over all its periods, to be more than its pattern
+# [guarded by benchmarks/tiles.py: 0.45 m].
+_MIN_MARKS_OF_A_VIEW = 3
 
 
 def is_expected(prior: dense.MotionPrior | None, pose: Pose2) -> bool:
@@ -76,6 +80,25 @@ def refined(
         if not any(same_motion(fine.a_from_b, other, pair) for other in found):
             found.append(fine.a_from_b)
             yield score_refined(pair, fine)
+
+
+def is_unmarked(level: PyramidLevel, periods: Float64Array) -> bool:
+    """Return whether a view is the same one period on, in every period and to the last mark.
+
+    Parameters
+    ----------
+    level : PyramidLevel
+        The finest of the view.
+    periods : (K, 2) float64
+        Shifts, metres in the robot's axes; False where there are none.
+    """
+    marks = 0
+    for x, y in periods:
+        shift = Pose2(float(x), float(y)).matrix
+        marks += sum(dense.distinguishing_marks(level, level, np.eye(3), shift))
+        if marks >= _MIN_MARKS_OF_A_VIEW:
+            return False
+    return len(periods) > 0
 
 
 def _squared_mahalanobis(prior: dense.MotionPrior, pose: Pose2) -> float:

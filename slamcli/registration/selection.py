@@ -16,6 +16,10 @@ from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair, same_
 from slamcli.registration.result import RegistrationResult, Verdict
 from slamcli.stages import dense
 
+# Share of the smaller view below which an expected motion cannot be compared by the pixels
+# [guarded by benchmarks/tiles.py: 0.45 and 0.60 m, links to earlier keyframes].
+_MIN_EXPECTED_OVERLAP = 0.2
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairContext:
@@ -166,11 +170,24 @@ class PairContext:
         """
         if near.far:
             return ""
+        if self._expected_beyond_view(near, fit):
+            assert self.prior is not None
+            return acceptance.expected_elsewhere(fit, self.prior.a_from_b)
         alternatives = rivals.refined(near, fit.pose, self._suggested(fit.pose), self.calibration)
         if is_open:
             alternatives = iter(hypotheses.outside_open_direction(list(alternatives), fit))
         remaining = (rival for rival in alternatives if self._remains(near, fit, rival))
         return acceptance.check_rivals(fit, next(remaining, None))
+
+    def _expected_beyond_view(self, near: PyramidPair, fit: MotionHypothesis) -> bool:
+        """Return whether a fit contradicts an expected motion that the pixels cannot tell of.
+
+        Under that motion the views show next to nothing in common; a pattern may imitate overlap.
+        """
+        if self.prior is None or not rivals.is_excluded(self.prior, fit.pose):
+            return False
+        expected = dense.agreement(near.a[-1], near.b[-1], self.prior.a_from_b.matrix)
+        return expected.overlap < _MIN_EXPECTED_OVERLAP
 
     def _remains(self, near: PyramidPair, fit: MotionHypothesis, rival: MotionHypothesis) -> bool:
         """Return whether neither the robot's reach nor the pixels rule a rival out."""
@@ -180,10 +197,19 @@ class PairContext:
             return False
         if criteria.explains_more(fit, rival):
             return False
-        # A narrow strip fits nearly anything, and shows few marks: its total evidence counts.
+        surprising = rivals.is_excluded(self.prior, fit.pose)
+        expected_instead = surprising and rivals.is_expected(self.prior, rival.pose)
+        # A narrow strip fits nearly anything, and shows few marks: its total evidence counts, or
+        # marks in it that the fit does not explain; unless the robot was expected there, or the
+        # floor shows no marks anywhere.
         share = hypotheses.SETTINGS.min_compared_share
-        if rival.agreement.overlap < share * fit.agreement.overlap:
-            return rival.evidence > self.options.max_rival_evidence * fit.evidence
+        if rival.agreement.overlap < share * fit.agreement.overlap and not expected_instead:
+            limit = self.options.max_rival_evidence * fit.evidence
+            return (
+                rival.evidence > limit
+                or hypotheses.preferred_by_marks(near, rival, fit)
+                or rivals.is_unmarked(near.a[0], _periods(self.keyframe))
+            )
         return not hypotheses.preferred(near, fit, rival)
 
     def _suggested(self, fit: Pose2) -> list[Pose2]:

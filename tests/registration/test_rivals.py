@@ -59,6 +59,14 @@ def test_marks_tell_a_motion_from_the_one_a_tile_on(marks: int, blur: float) -> 
     assert dense.distinguishing_marks(a, b, rival, motion) == pytest.approx((contra, pro), abs=2)
 
 
+@pytest.mark.parametrize(("marks", "unmarked"), [(0, True), (1, False)])
+def test_a_floor_is_unmarked_that_is_the_same_one_period_on(marks: int, unmarked: bool) -> None:
+    level = level_of(tiles(marks), 200, 200, 2, 0.0)
+    period = np.array([[TILE * METRES_PER_PIXEL, 0.0]])
+    assert rivals.is_unmarked(level, period) is unmarked
+    assert not rivals.is_unmarked(level, np.empty((0, 2)))
+
+
 def test_views_that_share_no_floor_show_no_marks() -> None:
     floor = tiles(3)
     a, b = level_of(floor, 200, 200, 2, 0.0), level_of(floor, 230, 200, 3, 0.0)

@@ -215,8 +215,9 @@ def test_motions_of_obstacles_are_left_out_where_features_back_another(
         (fit_of(ELSEWHERE, evidence=70.0), False, None, True),
         (fit_of(ELSEWHERE, overlap=0.39, evidence=75.0), False, None, False),
         (fit_of(ELSEWHERE, overlap=0.39, evidence=75.1), False, None, True),
-        (fit_of(ELSEWHERE, correlation=0.77), False, None, False),
-        (fit_of(ELSEWHERE, correlation=0.78), False, None, True),
+        (fit_of(ELSEWHERE, correlation=0.77, confirmed=0.69), False, None, False),
+        (fit_of(ELSEWHERE, correlation=0.78, confirmed=0.69), False, None, True),
+        (fit_of(ELSEWHERE, correlation=0.77, confirmed=0.7), False, None, True),
         (fit_of(ELSEWHERE, correlation=0.2, confirmed=0.3), False, None, False),
         (fit_of(ELSEWHERE, evidence=80.0), True, None, False),
         (fit_of(ELSEWHERE, evidence=80.0), False, 0.349, False),
@@ -229,6 +230,7 @@ def test_motions_of_obstacles_are_left_out_where_features_back_another(
         "a strip",
         "explains less",
         "explains about as much",
+        "explains all but brightness",
         "no fit",
         "pixels decide",
         "too far",
@@ -278,6 +280,8 @@ def test_the_prior_chooses_among_motions_that_the_pixels_support_alike(
         rivals, "refined", lambda pair, fit, starts, calibration: begun.append(starts) or iter([])
     )
     period = np.array([[0.3, 0.0]])
+    overlaps = [0.2]
+    monkeypatch.setattr(dense, "agreement", lambda *given: dense.Agreement(0.9, overlaps[0], 0.9))
 
     def starts(prior: Pose2 | None, sigma: float) -> list[float]:
         context = replace(
@@ -293,6 +297,11 @@ def test_the_prior_chooses_among_motions_that_the_pixels_support_alike(
     assert starts(HERE, 0.051) == [-0.25, 0.35]
     # The fit itself is excluded: the expected motion is a rival beside those of the floor.
     assert starts(ELSEWHERE, 0.01) == [-0.25, 0.35, 0.35]
+    # Where the expected motion shares too little floor the pixels cannot tell.
+    overlaps[0] = 0.19
+    prior = dense.MotionPrior(ELSEWHERE, 0.01**2 * np.eye(3))
+    reason = replace(context_of(), prior=prior).check_rivals(PAIR, fit_of(HERE))
+    assert reason.startswith("ambiguous: the robot is expected 0.3 farther on")
 
 
 def test_a_motion_that_explains_much_more_is_chosen_over_a_wider_overlap() -> None:

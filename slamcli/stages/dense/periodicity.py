@@ -12,7 +12,7 @@ from slamcli.stages.dense.correlation_search import autocorrelation
 # A shift is a period from this correlation on, and where this share of the view still overlaps
 # [guarded by benchmarks/robustness.py: tiles, identical-tiles].
 _MIN_CORRELATION = 0.4
-_MIN_OVERLAP = 0.3
+_MIN_OVERLAP = 0.2
 # Within this many pixels of no shift every view looks like itself.
 _OWN_PEAK_PIXELS = 5
 _MAX_SHIFTS = 4
