@@ -38,8 +38,9 @@ class RefinementSettings:
     min_unexplained_variance: float = 0.4
     min_unexplained_ratio: float = 2.0
     min_overlap_ratio: float = 0.4
-    # What so many informative patches agree with leaves nothing of the floor unexplained: brightness
-    # alone, as a lamp's at the edge of a view, lowers the correlation of a narrow overlap.
+    # What so many informative patches agree with leaves nothing of the floor unexplained: a lamp's
+    # light alone, at the edge of a view, lowers the correlation of a narrow overlap
+    # [guarded by benchmarks/tiles.py: 0.45 m].
     min_explained_share: float = 0.7
     # Features come this near to the truth, in pixels of the finest level and in radians: a fit
     # farther off follows obstacles [guarded by benchmarks/robustness.py: legs on bare].
