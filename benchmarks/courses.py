@@ -209,7 +209,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     sweep.add_arguments(parser)
     parser.add_argument("--all", action="store_true", help="every layout with every camera")
-    parser.add_argument("--reasons", action="store_true", help="print false links and lost frames")
     arguments = parser.parse_args()
     cells = [
         Cell(layout, camera, odometry)

@@ -213,7 +213,6 @@ def main() -> None:
     """Run the cells that the file does not have yet, and print what all of them say."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     sweep.add_arguments(parser)
-    parser.add_argument("--reasons", action="store_true", help="print false links and lost frames")
     arguments = parser.parse_args()
     cells = [
         Cell(event, floor, seed) for event, (seed, floor) in product(EVENTS, enumerate(FLOORS))

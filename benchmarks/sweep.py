@@ -21,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--shard", default="0/1", help="I/N: every N-th cell, from the I-th on")
     parser.add_argument("--limit", type=int, help="run this many cells at most")
     parser.add_argument("--summary", action="store_true", help="print what the rows say, run none")
+    parser.add_argument("--reasons", action="store_true", help="print false links and lost frames")
 
 
 def run(

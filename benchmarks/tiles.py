@@ -180,7 +180,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     sweep.add_arguments(parser)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--reasons", action="store_true", help="print false links and lost frames")
     arguments = parser.parse_args()
     cells = [
         Cell(pitch, marks, step, seed, aid)

@@ -244,6 +244,13 @@ def covariance_in_map(map_from_robot: Pose2, covariance: Float64Array) -> Float6
     return turned
 
 
+def squared_mahalanobis(expected: Pose2, covariance: Float64Array, pose: Pose2) -> float:
+    """Return the distance of a pose from an expected one, with its (3, 3) covariance, squared."""
+    error = expected.inverse() @ pose
+    vector = np.array([error.x, error.y, error.theta])
+    return float(vector @ invert(covariance) @ vector)
+
+
 def path_length(poses: Sequence[Pose2]) -> float:
     """Return the sum of the distances between consecutive poses, in metres."""
     if len(poses) < 2:

@@ -11,12 +11,10 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import groupby, islice
 
-import numpy as np
-
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
-from slamcli.core.geometry import Pose2, invert
+from slamcli.core.geometry import Pose2, squared_mahalanobis
 from slamcli.core.records import Keyframe, Link, PreparedFrame
 from slamcli.mapping.backend.pose_graph import PoseGraphReader
 from slamcli.mapping.keyframes import KeyframeDatabase, encode_keyframe
@@ -242,7 +240,7 @@ class LoopCloser:
         if (
             result.link is None
             or (unexpected and not self._relocalizer.is_reliable(result))
-            or _squared_mahalanobis(candidate, result.link) > _MAX_SQUARED_MAHALANOBIS
+            or _contradicts_poses(candidate, result.link)
         ):
             self._failed[pair] = candidate.guess
             return None
@@ -292,8 +290,8 @@ class _LinkedKeyframes:
         )
 
 
-def _squared_mahalanobis(candidate: LoopCandidate, link: Link) -> float:
-    """Return the squared Mahalanobis distance of a measured motion from that by the poses."""
-    error = candidate.expected.inverse() @ link.a_from_b
-    vector = np.array([error.x, error.y, error.theta])
-    return float(vector @ invert(candidate.covariance + link.covariance) @ vector)
+def _contradicts_poses(candidate: LoopCandidate, link: Link) -> bool:
+    """Return whether a measured motion is too far from that by the poses."""
+    covariance = candidate.covariance + link.covariance
+    apart = squared_mahalanobis(candidate.expected, covariance, link.a_from_b)
+    return apart > _MAX_SQUARED_MAHALANOBIS

@@ -14,7 +14,7 @@ import numpy as np
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
-from slamcli.core.geometry import Pose2, invert, wrap_angle
+from slamcli.core.geometry import Pose2, squared_mahalanobis
 from slamcli.core.records import PyramidLevel
 from slamcli.registration.hypothesis import (
     MotionHypothesis,
@@ -39,12 +39,12 @@ _MIN_MARKS_OF_A_VIEW = 3
 
 def is_expected(prior: dense.MotionPrior | None, pose: Pose2) -> bool:
     """Return whether a prior expects a motion; False without a prior."""
-    return prior is not None and _squared_mahalanobis(prior, pose) <= _MAX_EXPECTED
+    return prior is not None and _distance(prior, pose) <= _MAX_EXPECTED
 
 
 def is_excluded(prior: dense.MotionPrior | None, pose: Pose2) -> bool:
     """Return whether a prior excludes a motion; False without a prior."""
-    return prior is not None and _squared_mahalanobis(prior, pose) >= _MIN_EXCLUDED
+    return prior is not None and _distance(prior, pose) >= _MIN_EXCLUDED
 
 
 def starts(fit: Pose2, periods_a: Float64Array, periods_b: Float64Array) -> list[Pose2]:
@@ -101,7 +101,5 @@ def is_unmarked(level: PyramidLevel, periods: Float64Array) -> bool:
     return len(periods) > 0
 
 
-def _squared_mahalanobis(prior: dense.MotionPrior, pose: Pose2) -> float:
-    error = prior.a_from_b.inverse() @ pose
-    vector = np.array([error.x, error.y, wrap_angle(error.theta)])
-    return float(vector @ invert(prior.covariance) @ vector)
+def _distance(prior: dense.MotionPrior, pose: Pose2) -> float:
+    return squared_mahalanobis(prior.a_from_b, prior.covariance, pose)

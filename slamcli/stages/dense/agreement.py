@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
-from slamcli.core.geometry import Pose2, apply_homography, invert
+from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.core.records import PyramidLevel, View
+from slamcli.stages.dense.warping import warp_onto
 
 _MIN_SHARED_PIXELS = 200
 _OVERLAP_STEP = 16
@@ -192,12 +193,7 @@ def _warped_onto(
     a: PyramidLevel, b: PyramidLevel, view_a_from_view_b: Float64Array
 ) -> tuple[UInt8Array, BoolArray]:
     """Return b's picture warped onto a's pixels, and where both see the floor."""
-    b_from_a_pixel = invert(view_a_from_view_b) @ invert(a.pixel_from_metres)
-    b_pixel_from_a_pixel = b.pixel_from_metres @ b_from_a_pixel
-    size = (a.image.shape[1], a.image.shape[0])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    moved = cv2.warpPerspective(b.image, b_pixel_from_a_pixel, size, flags=flags)
-    seen = cv2.warpPerspective(b.mask, b_pixel_from_a_pixel, size, flags=flags)
+    moved, seen = warp_onto(a, b, view_a_from_view_b, b.image, b.mask)
     return np.asarray(moved, np.uint8), (np.asarray(seen) == 255) & (a.mask == 255)
 
 

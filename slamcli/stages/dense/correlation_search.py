@@ -16,6 +16,7 @@ from scipy import fft
 from slamcli.core.arrays import BoolArray, Complex64Array, Float32Array, Float64Array, Int64Array
 from slamcli.core.geometry import Pose2, apply_homography, invert
 from slamcli.core.records import PyramidLevel
+from slamcli.stages.dense.warping import warp_onto
 
 # Rotations between two tries: the refinement converges from half a step
 # [guarded by benchmarks/robustness.py: course].
@@ -175,12 +176,8 @@ def evidence(
     view_a_from_view_b : (3, 3) float64
         Metres to metres: that motion, or a `PhotometricFit`'s.
     """
-    b_from_a_pixel = invert(view_a_from_view_b) @ invert(a.pixel_from_metres)
-    mapping = b.pixel_from_metres @ b_from_a_pixel
-    size = (a.weight.shape[1], a.weight.shape[0])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    moved = cv2.warpPerspective(b.normalised, mapping, size, flags=flags)
-    weight = cv2.multiply(cv2.warpPerspective(b.weight, mapping, size, flags=flags), a.weight)
+    moved, weight = warp_onto(a, b, view_a_from_view_b, b.normalised, b.weight)
+    weight = cv2.multiply(weight, a.weight)
     pixels = _total(weight)
     seen = float(min(cv2.countNonZero(a.inside), cv2.countNonZero(b.inside)))
     if pixels < _MIN_PIXELS:

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array
-from slamcli.core.geometry import invert
 from slamcli.core.records import PyramidLevel
+from slamcli.stages.dense.warping import warp_onto
 
 # Side of the neighbourhood that is compared, pixels of the finest level, and what neighbourhoods of
 # the mask's border are left out by.
@@ -87,25 +87,13 @@ class _Comparison:
 
 
 def _compare(a: PyramidLevel, b: PyramidLevel, view_a_from_view_b: Float64Array) -> _Comparison:
-    moved, weight = _warped(a, b, view_a_from_view_b)
-    seen = a.weight * weight >= 1.0
+    detail, weight = warp_onto(a, b, view_a_from_view_b, b.detail, b.weight)
+    moved = np.asarray(detail, np.float32)
+    seen = a.weight * np.asarray(weight, np.float32) >= 1.0
     border = np.ones((2 * _BORDER_PIXELS + 1, 2 * _BORDER_PIXELS + 1), np.uint8)
     inner = np.asarray(cv2.erode(seen.view(np.uint8), border)) > 0
     contrast = np.maximum(_mean(a.detail * a.detail), _mean(moved * moved))
     return _Comparison(inner, _difference(a.detail, moved), contrast)
-
-
-def _warped(
-    a: PyramidLevel, b: PyramidLevel, view_a_from_view_b: Float64Array
-) -> tuple[Float32Array, Float32Array]:
-    """Return b's detail warped onto a's pixels, and the weight of what it shows."""
-    b_from_a_pixel = invert(view_a_from_view_b) @ invert(a.pixel_from_metres)
-    mapping = b.pixel_from_metres @ b_from_a_pixel
-    size = (a.detail.shape[1], a.detail.shape[0])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    detail = cv2.warpPerspective(b.detail, mapping, size, flags=flags)
-    weight = cv2.warpPerspective(b.weight, mapping, size, flags=flags)
-    return np.asarray(detail, np.float32), np.asarray(weight, np.float32)
 
 
 def _difference(detail: Float32Array, moved: Float32Array) -> Float32Array:
