@@ -13,24 +13,13 @@ import yaml
 from slamcli.core.arrays import Float64Array
 from slamcli.core.bounds import quoted
 from slamcli.core.camera.calibration import Calibration, Intrinsics
-from slamcli.core.errors import CalibrationError, InputError
+from slamcli.core.errors import CalibrationError
 from slamcli.io import calibration_codec
-from slamcli.io.checks import FieldError, check_array, required
-from slamcli.io.files import read_text, write_text
+from slamcli.io.camera_info import intrinsics_section, matrix_data, number, read_document
+from slamcli.io.checks import FieldError, check_array
+from slamcli.io.files import write_text
 
 FORMAT_VERSION = 1
-# PyYAML's own, and those of Python that its constructors let through, for tags and nesting.
-_YAML_ERRORS = (
-    yaml.YAMLError,
-    ValueError,
-    LookupError,
-    AttributeError,
-    TypeError,
-    ArithmeticError,
-    RecursionError,
-)
-# ROS drivers write the fisheye model under either name.
-_MODEL_SYNONYMS = {"fisheye": "equidistant", "kannala_brandt": "equidistant"}
 # What the fields of the codec are called in the file, where it is not the same.
 _YAML_KEYS = {
     "image_size width": "image_width",
@@ -81,7 +70,7 @@ def load_calibration(path: str | Path) -> Calibration:
         One line that names the file, the key and what is wrong with it.
     """
     path = Path(path)
-    document = _read_document(path, "calibration")
+    document = read_document(path, "calibration")
     ground = document.get("ground_plane")
     if not isinstance(ground, dict):
         raise CalibrationError(
@@ -89,10 +78,10 @@ def load_calibration(path: str | Path) -> Calibration:
             "camera is mounted; make one by slam calibrate PHOTO --intrinsics"
         )
     try:
-        plain = {**_intrinsics_section(document), **_mounting_section(ground)}
+        plain = {**intrinsics_section(document), **_mounting_section(ground)}
         if "robot_from_image" in ground:
             # Only checked: the numbers that it comes from may have more digits.
-            given = _matrix_data(ground, "robot_from_image")
+            given = matrix_data(ground, "robot_from_image")
             calibration_codec.from_dict({**plain, "robot_from_image": given})
         return calibration_codec.from_dict(plain)
     except FieldError as error:
@@ -107,7 +96,7 @@ def load_origin(path: str | Path) -> CalibrationSource | None:
     CalibrationError
     """
     path = Path(path)
-    ground = _read_document(path, "calibration").get("ground_plane")
+    ground = read_document(path, "calibration").get("ground_plane")
     made_from = ground.get("made_from") if isinstance(ground, dict) else None
     if not isinstance(made_from, dict) or not {"side_metres", "corners"} <= made_from.keys():
         return None
@@ -115,7 +104,7 @@ def load_origin(path: str | Path) -> CalibrationSource | None:
         return CalibrationSource(
             str(made_from.get("photo", "")),
             str(made_from.get("target", "")),
-            _number(made_from, "side_metres"),
+            number(made_from, "side_metres"),
             check_array(made_from["corners"], "made_from.corners").reshape(-1, 2),
         )
     except FieldError as error:
@@ -123,7 +112,7 @@ def load_origin(path: str | Path) -> CalibrationSource | None:
 
 
 def load_intrinsics(path: str | Path) -> Intrinsics:
-    """Return the camera of a ROS camera_info YAML file (camera_calibration writes one).
+    """Return the camera of a camera_info: a ROS file, a topic's echo, or OpenCV's FileStorage.
 
     Raises
     ------
@@ -131,9 +120,9 @@ def load_intrinsics(path: str | Path) -> Intrinsics:
         One line that names the file, the key and what is wrong with it.
     """
     path = Path(path)
-    document = _read_document(path, "camera_info")
+    document = read_document(path, "camera_info")
     try:
-        return calibration_codec.intrinsics_from_dict(_intrinsics_section(document))
+        return calibration_codec.intrinsics_from_dict(intrinsics_section(document))
     except FieldError as error:
         raise _named(error, path) from error
 
@@ -236,33 +225,6 @@ def _degrees(radians: float) -> float:
     return next((value for value in near if math.radians(value) == radians), degrees)
 
 
-def _read_document(path: Path, what: str) -> dict[str, Any]:
-    try:
-        document = yaml.safe_load(read_text(path, what))
-    except InputError as error:
-        raise CalibrationError(str(error)) from error
-    except _YAML_ERRORS as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" (line {mark.line + 1})" if mark is not None else ""
-        raise CalibrationError(f"{path}: not a {what} file: it is not YAML{where}") from error
-    if not isinstance(document, dict):
-        raise CalibrationError(f"{path}: not a {what} file: no keys such as camera_matrix in it")
-    return document
-
-
-def _intrinsics_section(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the lens of a camera_info document by the codec's names."""
-    name = str(document.get("distortion_model", "plumb_bob"))
-    section = {
-        "image_size": [_number(document, key) for key in ("image_width", "image_height")],
-        "camera_matrix": _matrix_data(document, "camera_matrix"),
-        "distortion_model": _MODEL_SYNONYMS.get(name, name),
-    }
-    if "distortion_coefficients" in document:
-        section["distortion"] = _matrix_data(document, "distortion_coefficients")
-    return section
-
-
 def _mounting_section(ground: dict[str, Any]) -> dict[str, float]:
     """Return a ground_plane section by the codec's names, angles in radians; raises FieldError."""
     version = ground.get("format_version", FORMAT_VERSION)
@@ -271,37 +233,16 @@ def _mounting_section(ground: dict[str, Any]) -> dict[str, float]:
             "format_version", f"is {quoted(version)}; this slamcli reads {FORMAT_VERSION}"
         )
     return {
-        "height_metres": _number(ground, "height_metres"),
-        "pitch_radians": math.radians(_number(ground, "pitch_degrees")),
-        "roll_radians": math.radians(_number(ground, "roll_degrees")),
-        "max_range_metres": _number(ground, "max_range_metres"),
-        "focal_sigma_pixels": _number(ground, "focal_sigma_pixels", math.nan),
-        "height_sigma_metres": _number(ground, "height_sigma_metres", math.nan),
-        "pitch_sigma_radians": math.radians(_number(ground, "pitch_sigma_degrees", math.nan)),
-        "roll_sigma_radians": math.radians(_number(ground, "roll_sigma_degrees", math.nan)),
-        "scale_sigma": _number(ground, "scale_sigma", math.nan),
+        "height_metres": number(ground, "height_metres"),
+        "pitch_radians": math.radians(number(ground, "pitch_degrees")),
+        "roll_radians": math.radians(number(ground, "roll_degrees")),
+        "max_range_metres": number(ground, "max_range_metres"),
+        "focal_sigma_pixels": number(ground, "focal_sigma_pixels", math.nan),
+        "height_sigma_metres": number(ground, "height_sigma_metres", math.nan),
+        "pitch_sigma_radians": math.radians(number(ground, "pitch_sigma_degrees", math.nan)),
+        "roll_sigma_radians": math.radians(number(ground, "roll_sigma_degrees", math.nan)),
+        "scale_sigma": number(ground, "scale_sigma", math.nan),
     }
-
-
-def _number(section: dict[str, Any], key: str, default: float | None = None) -> float:
-    """Return a number of a section; without a default it must be there. Raises FieldError."""
-    value = required(section, key) if default is None else section.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise FieldError(key, f"is {quoted(value)}, not a number")
-    try:
-        return float(value)
-    except OverflowError as error:
-        raise FieldError(key, "is too large") from error
-
-
-def _matrix_data(section: dict[str, Any], key: str) -> Any:
-    """Return the numbers of a matrix in camera_info's form, or as plain lists."""
-    value = required(section, key)
-    if isinstance(value, dict):
-        if "data" not in value:
-            raise FieldError(key, "has no data")
-        return value["data"]
-    return value
 
 
 def _named(error: FieldError, path: Path) -> CalibrationError:
