@@ -8,6 +8,9 @@ import sys
 
 from slamcli.cli.streams import LenientStream, replace_streams
 
+# A file to which failures are logged with their tracebacks.
+_LOG_VARIABLE = "SLAMCLI_LOG"
+
 
 def main() -> None:
     """Run the command line."""
@@ -18,6 +21,8 @@ def main() -> None:
     os.environ.setdefault("MKL_NUM_THREADS", "1")
     # A frame that cannot be decoded is reported once, with its reason; OpenCV would repeat it.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    if os.environ.get(_LOG_VARIABLE):
+        _log_to(os.environ[_LOG_VARIABLE])
     from slamcli.cli.main import main as command_line
 
     code: object = None
@@ -33,6 +38,16 @@ def main() -> None:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     sys.exit(_exit_code(code, output))
+
+
+def _log_to(path: str) -> None:
+    import logging
+
+    try:
+        logging.basicConfig(filename=path, format="%(asctime)s %(name)s %(levelname)s %(message)s")
+    except OSError as error:
+        sys.stderr.write(f"Error: cannot write the log {path}: {error.strerror}\n")
+        sys.exit(1)
 
 
 def _exit_code(code: object, output: LenientStream | None) -> int | str | None:

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import logging
+
 import cv2
+
+# Silent, unless the program that uses this library configures its logging.
+_LOGGER = logging.getLogger("slamcli")
+_LOGGER.addHandler(logging.NullHandler())
 
 # Not among them: warnings made errors, and what ends a program.
 FAILURES: tuple[type[Exception], ...] = (
@@ -20,7 +26,11 @@ FAILURES: tuple[type[Exception], ...] = (
 )
 
 
-def failure_text(error: Exception) -> str:
-    """Return an exception as the end of a reason, on one line."""
+def logged(error: Exception) -> str:
+    """Log an exception with its traceback; return its type and text, on one line, for a reason.
+
+    Behind a reason that a user reads may be a fault of this program: the log shows where.
+    """
+    _LOGGER.error("unforeseen failure", exc_info=error)
     words = " ".join(str(error).split())
     return f"{type(error).__name__} {words}"[:200].rstrip()

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.config import MapperOptions
-from slamcli.core.failures import FAILURES, failure_text
+from slamcli.core.failures import FAILURES, logged
 from slamcli.core.records import FloorMap, Frame, PoseEstimate, PreparedFrame
 from slamcli.mapping.backend.pose_graph import PoseGraph, lost
 from slamcli.mapping.keyframes import KeyframeDatabase
@@ -78,4 +78,4 @@ class Locator:
                 return lost(prepared, found.reason)
             return self._graph.predict_pose(prepared, [found.link])
         except FAILURES as error:
-            return lost(prepared, f"cannot be located: {failure_text(error)}")
+            return lost(prepared, f"cannot be located: {logged(error)}")

@@ -16,7 +16,7 @@ from slamcli.core.arrays import UInt8Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import InputError
-from slamcli.core.failures import FAILURES, failure_text
+from slamcli.core.failures import FAILURES, logged
 from slamcli.core.geometry import Grid
 from slamcli.core.records import FloorMap, Frame, Link, PoseEstimate, PreparedFrame
 from slamcli.core.telemetry import (
@@ -182,7 +182,7 @@ class Mapper:
             try:
                 return self._step(prepared)
             except FAILURES as error:
-                reason = f"cannot be placed: {failure_text(error)}"
+                reason = f"cannot be placed: {logged(error)}"
                 known = self._graph.get(prepared.index)
                 return self._graph.set_estimate(lost(prepared, reason)) if known is None else known
 

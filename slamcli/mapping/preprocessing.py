@@ -8,7 +8,7 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.footprint import MAX_REGISTRATION_PIXELS, check_metres_per_pixel
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
-from slamcli.core.failures import FAILURES, failure_text
+from slamcli.core.failures import FAILURES, logged
 from slamcli.core.geometry import Grid
 from slamcli.core.records import Frame, PreparedFrame
 from slamcli.mapping.frame_checks import checked_frame, refused
@@ -68,5 +68,5 @@ class Preprocessor:
         except FrameError as error:
             reason = str(error)
         except FAILURES as error:
-            reason = f"cannot be processed: {failure_text(error)}"
+            reason = f"cannot be processed: {logged(error)}"
         return refused(frame, reason)

@@ -114,6 +114,24 @@ def test_locate_never_raises(floor_map: FloorMap) -> None:
         assert estimate.map_from_robot is not None or estimate.reason
 
 
+def test_an_unforeseen_failure_is_a_reason_and_in_the_log_with_its_traceback(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    mapper = small_mapper()
+    mapper.update(GOOD[0])
+
+    def broken(*_: object) -> None:
+        raise IndexError("a fault of ours")
+
+    monkeypatch.setattr("slamcli.mapping.tracking.Tracker.track", broken)
+    estimate = mapper.update(GOOD[1])
+    assert estimate.reason == "cannot be placed: IndexError a fault of ours"
+    (record,) = caplog.records
+    assert record.name == "slamcli"
+    assert record.exc_info is not None
+    assert record.exc_info[0] is IndexError
+
+
 def test_what_is_no_reading_is_refused() -> None:
     mapper = small_mapper()
     for give_it in (mapper.odometry, mapper.compass, mapper.gps):

@@ -8,6 +8,7 @@ indefinite sparse symmetric linear equations, 1983). The cost is a small multipl
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +21,10 @@ from slamcli.core.arrays import Float64Array, Int64Array
 # Merged fronts may have this many blocks more than needed: fewer, larger steps are faster.
 # [benchmarks/backend.py: 8 s for 10,000 poses, solution and covariances]
 _MAX_PADDING_BLOCKS = 4
+# Shares of its diagonal that are added to a matrix which rounding has made indefinite, in turn: a
+# direction whose sigma is over ten million times that of its variable alone gets a smaller one.
+# [guarded by tests/stages/test_posegraph_scale.py]
+_REGULARIZATIONS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6)
 
 
 @dataclass(slots=True, eq=False)
@@ -53,7 +58,7 @@ def diagonal_blocks(
     Raises
     ------
     numpy.linalg.LinAlgError
-        When the matrix is not positive definite.
+        When the matrix is not positive definite, by more than rounding.
     """
     starts = np.concatenate([[0], np.cumsum(sizes)])
     block_of = np.repeat(np.arange(len(sizes)), sizes)
@@ -67,13 +72,24 @@ def diagonal_blocks(
     moved = new_starts[position_of[block_of]] + np.arange(len(block_of)) - starts[block_of]
     spans = [np.arange(new_starts[k], new_starts[k + 1]) for k in range(len(sizes))]
     matrix = sparse.coo_array((values, (moved[rows], moved[columns])), shape=(starts[-1],) * 2)
-    inverses = _invert(_Matrix(sparse.tril(matrix, format="csc")), fronts, spans)
+    inverses = _regularized_inverses(sparse.tril(matrix, format="csc"), fronts, spans)
     blocks: list[Float64Array] = [np.empty(0)] * len(sizes)
     for front, (indices, inverse) in zip(fronts, inverses, strict=True):
         for column in front.columns:
             here = np.searchsorted(indices, spans[column])
             blocks[int(order[column])] = inverse[np.ix_(here, here)]
     return blocks
+
+
+def _regularized_inverses(
+    lower: sparse.csc_array, fronts: list[_Front], spans: list[Int64Array]
+) -> list[tuple[Int64Array, Float64Array]]:
+    """Return what `_invert` does, of the matrix or else of one that is slightly more definite."""
+    for share in _REGULARIZATIONS:
+        added = sparse.diags_array(share * lower.diagonal(), format="csc")
+        with contextlib.suppress(np.linalg.LinAlgError):
+            return _invert(_Matrix(lower if share == 0.0 else lower + added), fronts, spans)
+    raise np.linalg.LinAlgError("the map's equations are singular")
 
 
 class _Matrix:
@@ -185,7 +201,7 @@ def _inverse_root(matrix: Float64Array) -> Float64Array:
     """Return the inverse of the lower Cholesky factor."""
     root, failed = lapack.dpotrf(matrix, lower=1, clean=1)
     if failed:
-        raise np.linalg.LinAlgError("the map's equations are singular")
+        raise np.linalg.LinAlgError
     inverse: Float64Array = lapack.dtrtri(root, lower=1)[0]
     return inverse
 

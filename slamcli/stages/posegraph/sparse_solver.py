@@ -41,7 +41,11 @@ _NEARLY_DECIDED = 1e-3
 def optimize(
     problem: Problem, state: GraphState, weights: Float64Array, max_steps: int = _MAX_STEPS
 ) -> GraphState:
-    """Return the state of least weighted squares near an initial one (Levenberg-Marquardt)."""
+    """Return the state of least weighted squares near an initial one (Levenberg-Marquardt).
+
+    Equations that rounding makes singular, as measurements of metres beside a jump of a thousand
+    kilometres do, are solved with damping; where no step helps, the state is returned as it is.
+    """
     cost, damping = problem.cost(state, weights), 0.0
     for _ in range(max_steps):
         equations = problem.linearize(state, weights)
@@ -49,10 +53,13 @@ def optimize(
         size = len(equations.gradient)
         hessian = sparse.csc_matrix((values, (rows, columns)), shape=(size, size))
         while True:
-            after = state.plus(_solved(hessian, -equations.gradient, damping))
-            least = problem.cost(after, weights)
-            if least <= cost * (1.0 + _MIN_GAIN) or damping > _MAX_DAMPING:
+            step = _solved(hessian, -equations.gradient, damping)
+            after = None if step is None else state.plus(step)
+            least = math.inf if after is None else problem.cost(after, weights)
+            if after is not None and least <= cost * (1.0 + _MIN_GAIN):
                 break
+            if damping > _MAX_DAMPING:
+                return state
             damping = max(_FIRST_DAMPING, 10.0 * damping)
         gain, cost, state = cost - least, least, after
         damping = 0.0 if damping <= _FIRST_DAMPING else 0.1 * damping
@@ -106,14 +113,20 @@ def _weights(ratio: Float64Array, control: float) -> Float64Array:
     return np.where(weights < MIN_WEIGHT, 0.0, weights)
 
 
-def _solved(hessian: sparse.csc_matrix, gradient: Float64Array, damping: float) -> Float64Array:
+def _solved(
+    hessian: sparse.csc_matrix, gradient: Float64Array, damping: float
+) -> Float64Array | None:
+    """Return the damped step; None where rounding leaves none."""
     if damping > 0.0:
         hessian = (hessian + sparse.diags_array(damping * hessian.diagonal())).tocsc()
-    factor = splu(
-        hessian,
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+    try:
+        factor = splu(
+            hessian,
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError:  # SuperLU's only sign of a singular matrix
+        return None
     step: Float64Array = factor.solve(gradient)
-    return step
+    return step if np.isfinite(step).all() else None
