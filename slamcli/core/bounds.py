@@ -75,6 +75,9 @@ METRES_PER_PIXEL = Bounds(1e-6, 1e4)
 # A sigma beyond these makes equations that no float64 can solve beside those of the frames.
 SIGMA_METRES = Bounds(1e-6, 1e7)
 SIGMA_RADIANS = Bounds(1e-6, 1e3)
+# Of a reading: below 1e-6 it is not known, as loggers write 0 for what they have no value of.
+READING_SIGMA_METRES = Bounds(0.0, SIGMA_METRES.high)
+READING_SIGMA_RADIANS = Bounds(0.0, SIGMA_RADIANS.high)
 # Radians that were added up turn after turn.
 ANGLE = Bounds(-1e6, 1e6)
 LATITUDE_DEGREES = Bounds(-90.0, 90.0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from slamcli.core.bounds import (
@@ -10,6 +11,8 @@ from slamcli.core.bounds import (
     COORDINATE,
     LATITUDE_DEGREES,
     LONGITUDE_DEGREES,
+    READING_SIGMA_METRES,
+    READING_SIGMA_RADIANS,
     SIGMA_METRES,
     SIGMA_RADIANS,
     STAMP,
@@ -21,6 +24,11 @@ from slamcli.core.errors import InputError
 if TYPE_CHECKING:  # numpy, which `slam --help` need not wait for
     from slamcli.core.arrays import Float64Array
     from slamcli.core.geometry import Pose2
+
+
+# Typical of cheap sensors, for readings without a sigma of their own.
+COMPASS_SIGMA_RADIANS = math.radians(3.0)
+GPS_SIGMA_METRES = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +63,7 @@ class CompassReading:
     heading_radians : float
         Counter-clockwise from east (ROS REP 103), off by a declination that all readings share.
     sigma_radians : float
-        One standard deviation, without the declination.
+        One standard deviation, without the declination; 0 is unknown: 3 degrees.
     """
 
     stamp: float
@@ -65,7 +73,12 @@ class CompassReading:
     def __post_init__(self) -> None:
         _check("compass", "stamp", self.stamp, STAMP)
         _check("compass", "heading_radians", self.heading_radians, ANGLE)
-        _check("compass", "sigma_radians", self.sigma_radians, SIGMA_RADIANS)
+        _check("compass", "sigma_radians", self.sigma_radians, READING_SIGMA_RADIANS)
+
+    def with_sigma(self) -> CompassReading:
+        """Return the reading with a typical sigma when its own is not known."""
+        known = self.sigma_radians in SIGMA_RADIANS
+        return self if known else replace(self, sigma_radians=COMPASS_SIGMA_RADIANS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +92,7 @@ class GpsReading:
     latitude_degrees, longitude_degrees : float
         WGS84.
     sigma_metres : float
-        One standard deviation, east and north alike.
+        One standard deviation, east and north alike; 0 is unknown: 3 m.
     """
 
     stamp: float
@@ -91,7 +104,12 @@ class GpsReading:
         _check("GPS", "stamp", self.stamp, STAMP)
         _check("GPS", "latitude_degrees", self.latitude_degrees, LATITUDE_DEGREES)
         _check("GPS", "longitude_degrees", self.longitude_degrees, LONGITUDE_DEGREES)
-        _check("GPS", "sigma_metres", self.sigma_metres, SIGMA_METRES)
+        _check("GPS", "sigma_metres", self.sigma_metres, READING_SIGMA_METRES)
+
+    def with_sigma(self) -> GpsReading:
+        """Return the reading with a typical sigma when its own is not known."""
+        known = self.sigma_metres in SIGMA_METRES
+        return self if known else replace(self, sigma_metres=GPS_SIGMA_METRES)
 
 
 def _check(what: str, name: str, value: object, limits: Bounds) -> None:

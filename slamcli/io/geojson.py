@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 
 from slamcli.core.arrays import Float64Array
@@ -22,10 +24,27 @@ def write_geojson(path: Path, tracks: Mapping[int, Float64Array]) -> None:
     for fragment, positions in tracks.items():
         # GeoJSON puts the longitude first; nine decimals are a tenth of a millimetre.
         coordinates = [[round(lon, 9), round(lat, 9)] for lat, lon in positions.tolist()]
-        geometry: dict[str, object] = {"type": "LineString", "coordinates": coordinates}
-        if len(coordinates) == 1:
-            geometry = {"type": "Point", "coordinates": coordinates[0]}
         properties = {"fragment": fragment, "frames": len(coordinates)}
+        geometry = _geometry(coordinates)
         features.append({"type": "Feature", "properties": properties, "geometry": geometry})
     collection = {"type": "FeatureCollection", "features": features}
     write_text(path, json.dumps(collection) + "\n")
+
+
+def _geometry(coordinates: list[list[float]]) -> dict[str, object]:
+    """Return a line; cut where it crosses 180 degrees of longitude (RFC 7946, section 3.1.9)."""
+    if len(coordinates) == 1:
+        return {"type": "Point", "coordinates": coordinates[0]}
+    lines = [[coordinates[0]]]
+    for before, after in pairwise(coordinates):
+        if abs(after[0] - before[0]) > 180.0:
+            side = math.copysign(180.0, before[0])
+            gap = after[0] + 2.0 * side - before[0]
+            share = (side - before[0]) / gap
+            latitude = round(before[1] + share * (after[1] - before[1]), 9)
+            lines[-1].append([side, latitude])
+            lines.append([[-side, latitude]])
+        lines[-1].append(after)
+    if len(lines) == 1:
+        return {"type": "LineString", "coordinates": lines[0]}
+    return {"type": "MultiLineString", "coordinates": lines}

@@ -17,13 +17,19 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.bounds import (
     LATITUDE_DEGREES,
     LONGITUDE_DEGREES,
-    SIGMA_METRES,
-    SIGMA_RADIANS,
+    READING_SIGMA_METRES,
+    READING_SIGMA_RADIANS,
     STAMP,
 )
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2
-from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
+from slamcli.core.telemetry import (
+    COMPASS_SIGMA_RADIANS,
+    GPS_SIGMA_METRES,
+    CompassReading,
+    GpsReading,
+    OdometryReading,
+)
 from slamcli.io.csv_table import HEADINGS, STAMPS, Table, parse_table
 from slamcli.io.files import read_text, write_text
 from slamcli.io.trajectories import read_trajectory
@@ -33,9 +39,6 @@ _BEARINGS = ("bearing", "azimuth")
 _LATITUDES, _LONGITUDES = ("latitude", "lat"), ("longitude", "lon", "lng", "long")
 _COMPASS_SIGMAS = ("sigma", "sigma_heading", "sigma_yaw")
 _GPS_SIGMAS = ("sigma", "sigma_metres", "accuracy", "horizontal_accuracy")
-# Typical of cheap sensors, for files without a column of sigmas.
-_COMPASS_SIGMA_RADIANS = math.radians(3.0)
-_GPS_SIGMA_METRES = 3.0
 
 
 def write_truth(
@@ -114,9 +117,9 @@ def read_compass(path: Path) -> list[CompassReading]:
         headings = math.pi / 2 - table.angles(_BEARINGS)
     else:
         headings = table.angles(HEADINGS)
-    sigmas = np.full(len(table), _COMPASS_SIGMA_RADIANS)
+    sigmas = np.full(len(table), COMPASS_SIGMA_RADIANS)
     if table.has_angles(_COMPASS_SIGMAS):
-        sigmas = table.angles(_COMPASS_SIGMAS, SIGMA_RADIANS)
+        sigmas = table.angles(_COMPASS_SIGMAS, READING_SIGMA_RADIANS)
     _refuse_backwards(path, stamps, table)
     readings = []
     for line, *row in zip(table.lines, stamps.tolist(), headings, sigmas, strict=True):
@@ -141,9 +144,9 @@ def read_gps(path: Path) -> list[GpsReading]:
     stamps = table.numbers(STAMPS, STAMP)
     latitudes = table.numbers(_LATITUDES, LATITUDE_DEGREES)
     longitudes = table.numbers(_LONGITUDES, LONGITUDE_DEGREES)
-    sigmas = np.full(len(table), _GPS_SIGMA_METRES)
+    sigmas = np.full(len(table), GPS_SIGMA_METRES)
     if table.has(_GPS_SIGMAS):
-        sigmas = table.numbers(_GPS_SIGMAS, SIGMA_METRES)
+        sigmas = table.numbers(_GPS_SIGMAS, READING_SIGMA_METRES)
     _refuse_backwards(path, stamps, table)
     readings = []
     columns = (latitudes, longitudes, sigmas)

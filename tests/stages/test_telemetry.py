@@ -163,7 +163,7 @@ def test_usual_names_and_units_of_columns_are_known(tmp_path: Path) -> None:
         ("odometry", "stamp,x,y,heading\n1,0,0,zero\n", "line 2: heading is 'zero'"),
         ("compass", "stamp\n1\n", "no column heading"),
         ("compass", "stamp,heading\n", "no compass readings"),
-        ("compass", "stamp,heading,sigma\n0,1,1\n\n1,1,0\n", "line 4: sigma is '0'; a number"),
+        ("compass", "stamp,heading,sigma\n0,1,1\n\n1,1,-1\n", "line 4: sigma is '-1'; a number"),
         ("compass", "stamp,heading\n1,1\n0.5,1\n", "line 3: the stamp 0.500000 comes after"),
         ("gps", "stamp,latitude,longitude\n0,91,0\n", "line 2: latitude is '91'; a number"),
         ("gps", "stamp,latitude\n0,9\n", "no column longitude"),
@@ -185,7 +185,7 @@ def test_a_reading_of_nonsense_is_refused() -> None:
     for make in (
         lambda: OdometryReading(math.nan, Pose2()),
         lambda: OdometryReading(0.0, Pose2(math.inf, 0.0, 0.0)),
-        lambda: CompassReading(0.0, 0.1, 0.0),
+        lambda: CompassReading(0.0, 0.1, -1.0),
         lambda: GpsReading(0.0, math.nan, 0.0, 1.0),
     ):
         with pytest.raises(InputError):

@@ -22,6 +22,9 @@ _MAX_MERGED_ORIGIN_SIGMA_METRES = 1.0
 # With a larger sigma the map's heading on Earth is unknown: no georeference.
 # [guarded by tests/mapping/backend/test_sensors.py]
 _MAX_HEADING_SIGMA_RADIANS = 1.0
+# With more outliers than that, which of the readings are the wrong ones is not known: no
+# georeference. [guarded by tests/mapping/backend/test_sensors.py]
+_MAX_OUTLIER_SHARE = 0.5
 # Kinds of links in the order in which initial poses are composed along them; loops, which alone
 # may be false, come last.
 _RANK_OF_KIND = {"step": 0, "odometry": 1}
@@ -178,7 +181,10 @@ class BatchOptimizer:
     def _georeference(self, solution: posegraph.Solution, readings: int) -> Georeference | None:
         offsets, datum = solution.offsets, self._sensors.datum_degrees
         heading_sigma = float(np.sqrt(offsets.east_north_covariance[2, 2]))
+        outliers = len(solution.position_outliers)
         if datum is None or not readings or heading_sigma > _MAX_HEADING_SIGMA_RADIANS:
+            return None
+        if outliers > _MAX_OUTLIER_SHARE * readings:
             return None
         return Georeference(
             datum,
@@ -186,7 +192,7 @@ class BatchOptimizer:
             offsets.east_north_covariance,
             offsets.lever_arm_metres,
             readings + self._sensors.no_fixes,
-            len(solution.position_outliers) + self._sensors.no_fixes,
+            outliers + self._sensors.no_fixes,
         )
 
     def _initial_poses(self, group: list[int], chain: list[Link]) -> InitialPoses:

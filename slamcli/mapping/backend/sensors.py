@@ -91,7 +91,7 @@ class Sensors:
 
     def compass(self, reading: CompassReading) -> None:
         """Add a reading."""
-        insort(self._compass, reading, key=_STAMP)
+        insort(self._compass, reading.with_sigma(), key=_STAMP)
 
     def gps(self, reading: GpsReading) -> None:
         """Add a reading; the first one is the datum. Raises InputError without pyproj.
@@ -105,7 +105,7 @@ class Sensors:
         if self._plane is None:
             self.datum_degrees = (float(reading.latitude_degrees), float(reading.longitude_degrees))
             self._plane = LocalPlane(self.datum_degrees)
-        insort(self._gps, reading, key=_STAMP)
+        insort(self._gps, reading.with_sigma(), key=_STAMP)
 
     def motion(self, begin: float | None, end: float | None) -> Pose2 | None:
         """Return ``begin_from_end`` by odometry; None without readings about those moments."""

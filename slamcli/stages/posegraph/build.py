@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from slamcli.core.arrays import Float64Array, Int64Array
+from slamcli.core.arrays import Complex128Array, Float64Array, Int64Array
 from slamcli.core.geometry import Pose2, compose_poses, pose_array
 from slamcli.core.records import Link
 from slamcli.stages.posegraph.factors import SensorOffsets, SensorReadings
@@ -18,6 +18,10 @@ from slamcli.stages.posegraph.state import ANCHOR_SIGMA, LOOSE_SIGMA, GraphState
 _REWEIGHTINGS = 30
 # Bounds the weight of a position in it. [guarded by tests/mapping/backend/test_sensors.py]
 _MIN_DISTANCE_METRES = 0.1
+# Readings whose pairs with others are tried for a first alignment, and by how much nearer that must
+# bring half of them to be preferred [guarded by tests/mapping/backend/test_sensors.py].
+_MAX_PAIRS = 50
+_MUCH_NEARER = 0.5
 # Prior sigma of an unknown lever arm: an antenna is on the robot.
 _LEVER_ARM_SIGMA_METRES = 1.0
 
@@ -114,11 +118,24 @@ def _median_angle(angles: Float64Array) -> float:
 
 
 def _align(points: Float64Array, targets: Float64Array) -> Float64Array:
-    """Return the rigid motion (3,) of least summed distance from points to their targets.
+    """Return the rigid motion (3,) of points to their targets that most of them agree on.
 
-    Iteratively reweighted least squares, each a Procrustes problem of complex numbers.
+    That of least summed distance, from the motion of all points. Few outliers a kilometre away can
+    turn it round; then that of two points which brings half of all far nearer (least trimmed sum).
     """
-    here, there = points @ (1.0, 1j), targets @ (1.0, 1j)
+    here, there = (np.asarray(a @ (1.0, 1j), np.complex128) for a in (points, targets))
+    least = _least_sum(here, there)
+    pair = _best_of_pairs(here, there)
+    far = _trimmed_sum(_distances(here, there, least))
+    near = _trimmed_sum(_distances(here, there, pair))
+    return pair if near < _MUCH_NEARER * far - len(here) * _MIN_DISTANCE_METRES else least
+
+
+def _least_sum(here: Complex128Array, there: Complex128Array) -> Float64Array:
+    """Return the rigid motion by iteratively reweighted least squares.
+
+    Each is a Procrustes problem of complex numbers.
+    """
     weights = np.ones(len(here))
     motion = np.zeros(3)
     for _ in range(_REWEIGHTINGS):
@@ -127,6 +144,32 @@ def _align(points: Float64Array, targets: Float64Array) -> Float64Array:
         turn = np.angle(np.sum(weights * np.conj(here - centre) * (there - target)))
         shift = target - np.exp(1j * turn) * centre
         motion = np.array([shift.real, shift.imag, turn])
-        misses = np.abs(np.exp(1j * turn) * here + shift - there)
-        weights = 1.0 / np.maximum(misses, _MIN_DISTANCE_METRES)
+        weights = 1.0 / np.maximum(_distances(here, there, motion), _MIN_DISTANCE_METRES)
     return motion
+
+
+def _best_of_pairs(here: Complex128Array, there: Complex128Array) -> Float64Array:
+    """Return the rigid motion of two points, far apart in time, with the least trimmed sum."""
+    count = len(here)
+    best, least = np.zeros(3), np.inf
+    for first in np.unique(np.linspace(0, count - 1, min(count, _MAX_PAIRS)).astype(np.int64)):
+        for second in ((first + count // 2) % count, (first + count // 3) % count):
+            turn = np.angle(np.conj(here[second] - here[first]) * (there[second] - there[first]))
+            shift = there[first] - np.exp(1j * turn) * here[first]
+            motion = np.array([shift.real, shift.imag, turn])
+            trimmed = _trimmed_sum(_distances(here, there, motion))
+            if trimmed < least:
+                best, least = motion, trimmed
+    return best
+
+
+def _trimmed_sum(distances: Float64Array) -> float:
+    """Return the sum of the smaller half."""
+    kept = len(distances) // 2 + 1
+    return float(np.partition(distances, kept - 1)[:kept].sum())
+
+
+def _distances(here: Complex128Array, there: Complex128Array, motion: Float64Array) -> Float64Array:
+    """Return (N,) distances of points from their targets after a rigid motion (3,)."""
+    moved = np.exp(1j * motion[2]) * here + complex(motion[0], motion[1])
+    return np.asarray(np.abs(moved - there), dtype=np.float64)

@@ -33,7 +33,9 @@ _MAX_DAMPING = 1e12
 _TIGHTENING = 1.4
 _STEPS_A_TIGHTENING = 2
 _MAX_TIGHTENINGS = 100
-# A smaller weight is zero: its factor is left out of the equations.
+# A smaller share of the largest weight is zero: such a factor is left out of the equations. It is a
+# share, as an error of a kilometre makes all weights of the first rounds that small
+# [guarded by tests/mapping/backend/test_sensors.py].
 MIN_WEIGHT = 1e-6
 _NEARLY_DECIDED = 1e-3
 
@@ -100,9 +102,23 @@ def robust(
         solved = optimize(problem, state, weights, _STEPS_A_TIGHTENING)
         if np.all(np.minimum(decided, 1.0 - decided) < _NEARLY_DECIDED) and control > 1.0:
             break
-        control = max(math.sqrt(control), _TIGHTENING * control)
+        fast = min(math.sqrt(control), _fastest(problem, solved, suspects))
+        control = max(fast, _TIGHTENING * control)
     kept: BoolArray = ~suspects | (weights > 0.5)
     return kept
+
+
+def _fastest(problem: Problem, state: GraphState, suspects: BoolArray) -> float:
+    """Return the control at which half of the compass's, or of the GPS's, readings lose all weight.
+
+    The readings of one sensor have offsets in common, which outliers move for all of them: a faster
+    schedule would reject the good ones before the offsets have come back.
+    """
+    ratios = problem.squared_errors(state) / MAX_INLIER_SQUARED_ERROR
+    ends = np.cumsum([len(problem.motions), len(problem.headings)])
+    _, *readings = np.split(np.where(suspects, ratios, np.nan), ends)
+    medians = [float(np.nanmedian(r)) for r in readings if not np.isnan(r).all()]
+    return 1.0 / max([*medians, 1e-12])
 
 
 def _weights(ratio: Float64Array, control: float) -> Float64Array:
@@ -110,7 +126,7 @@ def _weights(ratio: Float64Array, control: float) -> Float64Array:
     with np.errstate(divide="ignore"):
         between = np.sqrt(control * (control + 1.0) / ratio) - control
     weights = np.clip(np.where(ratio <= control / (control + 1.0), 1.0, between), 0.0, 1.0)
-    return np.where(weights < MIN_WEIGHT, 0.0, weights)
+    return np.where(weights < MIN_WEIGHT * weights.max(), 0.0, weights)
 
 
 def _solved(
