@@ -26,7 +26,7 @@ from slamcli.core.telemetry import (
     OdometryReading,
     TelemetryOptions,
 )
-from slamcli.mapping.backend.backend import Backend
+from slamcli.mapping.backend.backend import MIN_EXTENT_SHARE, Backend
 from slamcli.mapping.backend.pose_graph import lost
 from slamcli.mapping.backend.sensors import Sensors
 from slamcli.mapping.frame_checks import is_known
@@ -38,7 +38,7 @@ from slamcli.mapping.preprocessing import Preprocessor
 from slamcli.mapping.relocalization import Relocalizer
 from slamcli.mapping.saved_state import MapperState
 from slamcli.mapping.scale_error import with_scale_error
-from slamcli.mapping.tracking import Tracker
+from slamcli.mapping.tracking import Tracker, begins_map
 from slamcli.mapping.tracking_state import TrackingState
 from slamcli.registration import RegistrationResult
 
@@ -66,7 +66,8 @@ class Mapper:
         self.calibration = calibration
         self.options = options or MapperOptions()
         self._preprocessor = Preprocessor(calibration, self.options)
-        self._backend = Backend(Sensors(telemetry))
+        least = MIN_EXTENT_SHARE * calibration.max_range_metres
+        self._backend = Backend(Sensors(telemetry), min_extent_metres=least)
         self._graph = self._backend.graph
         self._database = KeyframeDatabase(self.grid, self.options.matching.seed)
         relocalizer = Relocalizer(calibration, self.options, self._database)
@@ -229,6 +230,7 @@ class Mapper:
                 if not loops:
                     break
                 self._backend.solve(loops)
+            self._tracking.forget_lost(self._graph.is_placed)
             return self.estimates
 
     def floor_map(self) -> FloorMap | None:
@@ -323,7 +325,7 @@ class Mapper:
             window = self._motion_model.window_after_lost(last_lost, prepared)
             result = self._tracker.register(last_lost, prepared, window=window)
             self._registrations = [*tracked, result]
-            if result.link is not None:
+            if result.link is not None and begins_map(result):
                 self._tracking.last_lost = None
                 self._begin_fragment(last_lost)
                 self._insert(prepared, [result])

@@ -71,6 +71,7 @@ class TrackingFrames:
     last_lost: int | None
     motion: Pose2 | None
     motion_frame: int
+    prediction_errors: list[tuple[float, float]]
 
     @property
     def indices(self) -> set[int]:

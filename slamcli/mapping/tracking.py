@@ -15,6 +15,9 @@ from slamcli.stages import dense
 # this does not improve a steady camera's pose, and worsens a rocking one's.
 # [guarded by benchmarks/robustness.py, rocking]
 _MIN_OVERLAP_OF_THIRD = 0.4
+# Share of the informative patches that must agree for two frames that fit no map to begin one: half
+# of a hand before the lens agrees with a motion [benchmarks/kidnap.py: up to 0.52].
+_MIN_CONFIRMED_TO_BEGIN = 0.6
 
 
 class Tracker:
@@ -120,6 +123,14 @@ class Tracker:
             if results[-1].link is not None:
                 break
         return results
+
+
+def begins_map(result: RegistrationResult) -> bool:
+    """Return whether two frames that were lost, and fit each other, may begin a map of their own.
+
+    Nothing else supports their motion; most of what both show must agree with it.
+    """
+    return not result.confirmed < _MIN_CONFIRMED_TO_BEGIN
 
 
 def _overlap(keyframe: PreparedFrame, prepared: PreparedFrame, guess: Pose2) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from slamcli.core.geometry import Pose2
@@ -40,6 +40,12 @@ class TrackingState:
     motion_frame: int = 0
     prediction_errors: list[tuple[float, float]] = field(default_factory=list)
 
+    def forget_lost(self, is_placed: Callable[[int], bool]) -> None:
+        """Leave out the keyframes that are lost by now, and with them what followed from them."""
+        self.keyframes = [one for one in self.keyframes if is_placed(one.index)]
+        if self.last_placed is not None and not is_placed(self.last_placed.index):
+            self.last_placed = self.motion = None
+
     def frames(self) -> TrackingFrames:
         """Return the state with frames by their indices, as `restore` needs it."""
         return TrackingFrames(
@@ -49,6 +55,7 @@ class TrackingState:
             None if self.last_lost is None else self.last_lost.index,
             self.motion,
             self.motion_frame,
+            list(self.prediction_errors),
         )
 
     def restore(self, saved: TrackingFrames, prepared: Mapping[int, PreparedFrame]) -> None:
@@ -61,3 +68,4 @@ class TrackingState:
         self.latest, self.last_placed = of(saved.latest), of(saved.last_placed)
         self.last_lost = of(saved.last_lost)
         self.motion, self.motion_frame = saved.motion, saved.motion_frame
+        self.prediction_errors = list(saved.prediction_errors)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from worlds import error_of, make_photographer, take
@@ -162,3 +164,48 @@ def test_a_turn_that_no_robot_makes_between_frames_is_rejected(
     estimate = mapper.update(take(photographer, turned, 1))
     assert estimate.status == "lost"
     assert "100 degrees" in estimate.reason
+
+
+def test_a_restored_mapper_expects_the_same_motion(photographer: photograph.Photographer) -> None:
+    """Its spread of constant velocity too, which decides what a floor that repeats shows."""
+    frames = [take(photographer, Pose2(0.04 * i + 0.001 * i * i), i) for i in range(8)]
+    mapper = slamcli.Mapper(photographer.calibration)
+    for pixels in frames[:7]:
+        mapper.update(pixels)
+    state = mapper.state()
+    prepared = {
+        i: mapper.prepare(slamcli.Frame(i, f"frame {i}", None, frames[i]))
+        for i in state.tracking.indices
+    }
+    restored = slamcli.Mapper(photographer.calibration)
+    restored.restore(state, prepared)
+    keyframe, last = prepared[max(prepared)], prepared[max(prepared)]
+    now = replace(last, index=7)
+    ours, theirs = (one._motion_model.prior(keyframe, now) for one in (restored, mapper))
+    assert theirs is not None
+    assert ours is not None
+    assert theirs.covariance[0, 0] < 0.01**2  # learned, not the free motion of a step
+    np.testing.assert_array_equal(ours.covariance, theirs.covariance)
+    assert ours.a_from_b == theirs.a_from_b
+
+
+def test_what_moves_with_the_camera_is_no_map(photographer: photograph.Photographer) -> None:
+    """A hand before the lens, of a pattern that stays: its frames fit each other, not the floor."""
+    generator = np.random.default_rng(5)
+    height, width = photographer.calibration.image_size[::-1]
+    grain = cv2.GaussianBlur(generator.normal(0.0, 60.0, (height, width)), (0, 0), 2.0)
+    hand = np.clip(128.0 + 2.0 * grain, 0.0, 255.0)[..., None].repeat(3, axis=2)
+    mapper = slamcli.Mapper(photographer.calibration)
+    for i in range(12):
+        floor = take(photographer, Pose2(0.04 * i), i)
+        noise = generator.normal(0.0, 2.0, (height, width, 3))
+        covered = np.clip(hand + noise, 0, 255).astype(np.uint8)
+        mapper.update(covered if 4 <= i < 8 else floor)
+    estimates = mapper.finish()
+    assert [e.index for e in estimates if e.status != "tracked"] == [4, 5, 6, 7]
+    assert {e.fragment for e in estimates if e.status == "tracked"} == {0}
+    assert all("moves with the camera" in e.reason for e in estimates[4:8])
+    for index in (0, 3, 8, 11):
+        assert error_of(estimates[index], Pose2(0.04 * index))[0] < 0.002
+    # And it goes on from there.
+    assert mapper.update(take(photographer, Pose2(0.48), 12)).status == "tracked"

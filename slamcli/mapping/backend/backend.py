@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from slamcli.core.geometry import Pose2
+from slamcli.core.geometry import Pose2, wrap_angle
 from slamcli.core.records import Link, PoseEstimate, PreparedFrame
-from slamcli.mapping.backend.optimizer import BatchOptimizer
+from slamcli.mapping.backend.optimizer import BatchOptimizer, InitialPoses
 from slamcli.mapping.backend.pose_graph import PoseGraph, lost, most_certain, tracked
 from slamcli.mapping.backend.sensors import Sensors
 from slamcli.mapping.backend.smoother import FixedLagSmoother
@@ -18,6 +18,11 @@ from slamcli.stages import posegraph
 
 # Of poses that are equal by definition (m, rad): the equations need a covariance above 0.
 _SAME_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
+# A later fragment of a smaller extent than this share of the camera's range, and of less turn, did
+# not move: what its frames show moved with the camera, as a hand before the lens does
+# [benchmarks/kidnap.py: hand].
+MIN_EXTENT_SHARE = 0.03
+_MIN_TURN_RADIANS = 0.1
 
 
 class Backend:
@@ -27,6 +32,8 @@ class Backend:
     ----------
     sensors : Sensors or None
         Readings of odometry, compass and GPS; None for none.
+    min_extent_metres : float
+        Of a fragment after the first, to be kept.
 
     Attributes
     ----------
@@ -35,7 +42,8 @@ class Backend:
     sensors : Sensors
     """
 
-    def __init__(self, sensors: Sensors | None = None) -> None:
+    def __init__(self, sensors: Sensors | None = None, min_extent_metres: float = 0.0) -> None:
+        self._min_extent_metres = min_extent_metres
         self.graph = PoseGraph()
         self.sensors = sensors or Sensors()
         self._smoother = FixedLagSmoother(self.sensors)
@@ -160,14 +168,30 @@ class Backend:
         connected = [component for component in components if len(component) > 1] or components[:1]
         for component in components:
             if component not in connected:
-                graph.set_estimate(lost(graph[min(component)], "overlaps no other frame"))
+                self._lose(component, "overlaps no other frame")
         connected = optimizer.merge_by_gps(connected)
+        for component in connected[1:]:
+            if not self._moves(component):
+                self._lose(component, "what it shows stays where it is: it moves with the camera")
+        connected = [*connected[:1], *filter(self._moves, connected[1:])]
         connected.sort(key=lambda component: (-len(component), min(component)))
         graph.clear_solution()
         for fragment, initial in enumerate(connected):
             graph.apply(optimizer.solve(initial, fragment))
         if connected:
             self._smoother.on_whole_solution(graph)
+
+    def _moves(self, component: InitialPoses) -> bool:
+        """Return whether the frames of a component lie farther apart than a standing camera's."""
+        poses = list(component.values())
+        places = np.array([(pose.x, pose.y) for pose in poses])
+        turns = [abs(wrap_angle(pose.theta - poses[0].theta)) for pose in poses]
+        extent_metres = float(np.ptp(places, axis=0).max())
+        return extent_metres >= self._min_extent_metres or max(turns) >= _MIN_TURN_RADIANS
+
+    def _lose(self, component: InitialPoses, reason: str) -> None:
+        for index in component:
+            self.graph.set_estimate(lost(self.graph[index], reason))
 
     def _odom_after(self, prepared: PreparedFrame, link: Link | None) -> Pose2:
         """Return ``odom_from_robot`` of a new frame: by its step, else odometry, else unmoved."""
