@@ -33,11 +33,12 @@ _SIGMAS = (
     "height_sigma_metres",
     "pitch_sigma_radians",
     "roll_sigma_radians",
-    "scale_sigma",
 )
 # A robot_from_image rounded by hand still agrees with the mounting to this share of its distances
 # [guarded by tests/io/test_calibrations.py: six digits of each number].
 _MAX_DISAGREEMENT = 1e-3
+# Rounding of a covariance, as a share of its largest number.
+_COVARIANCE_TOLERANCE = 1e-6
 
 
 def to_dict(calibration: Calibration) -> dict[str, Any]:
@@ -79,6 +80,7 @@ def from_dict(section: Mapping[str, Any]) -> Calibration:
         unit=unit,
         **mounting,
         **{name: _number_or_nan(section.get(name), name, _SIGMA) for name in _SIGMAS},
+        covariance=_covariance(section.get("covariance")),
     )
 
 
@@ -134,6 +136,18 @@ def _number_or_nan(value: Any, key: str, limits: Bounds) -> float:
     if value is None or (type(value) is float and math.isnan(value)):
         return math.nan
     return check_number(value, key, limits)
+
+
+def _covariance(value: Any) -> Float64Array | None:
+    """Return the covariance of log focal length, log height, pitch and roll; None for None."""
+    if value is None or (type(value) is float and math.isnan(value)):
+        return None
+    covariance = check_matrix(value, "covariance", (4, 4), LENGTH.high)
+    tolerance = _COVARIANCE_TOLERANCE * float(np.abs(covariance).max())
+    uneven = float(np.abs(covariance - covariance.T).max())
+    if uneven > tolerance or float(np.linalg.eigvalsh(covariance)[0]) < -tolerance:
+        raise FieldError("covariance", "is no covariance: symmetric, without negative variances")
+    return covariance
 
 
 def _robot_from_image(

@@ -165,8 +165,7 @@ def calibration_text(calibration: Calibration, origin: CalibrationSource | None 
             f"  height_sigma_metres: {_text(calibration.height_sigma_metres)}",
             f"  pitch_sigma_degrees: {_text(_degrees(calibration.pitch_sigma_radians))}",
             f"  roll_sigma_degrees: {_text(_degrees(calibration.roll_sigma_radians))}",
-            f"  scale_sigma: {_text(calibration.scale_sigma)}  # of lengths on the floor, a share"
-            ", with all of these together",
+            *_covariance_lines(calibration.covariance),
             f"  max_range_metres: {_text(calibration.max_range_metres)}"
             "  # floor beyond this distance is not used",
             "  # Undistorted pixel (column, row, 1) to floor metres (x, y, 1), up to scale.",
@@ -176,6 +175,15 @@ def calibration_text(calibration: Calibration, origin: CalibrationSource | None 
             "",
         ]
     )
+
+
+def _covariance_lines(covariance: Float64Array | None) -> list[str]:
+    if covariance is None:
+        return []
+    return [
+        "  # Of log focal length, log height, pitch and roll (radians), which err together.",
+        *_matrix_lines("covariance", covariance, indent="  "),
+    ]
 
 
 def _origin_lines(origin: CalibrationSource | None) -> list[str]:
@@ -225,7 +233,7 @@ def _degrees(radians: float) -> float:
     return next((value for value in near if math.radians(value) == radians), degrees)
 
 
-def _mounting_section(ground: dict[str, Any]) -> dict[str, float]:
+def _mounting_section(ground: dict[str, Any]) -> dict[str, Any]:
     """Return a ground_plane section by the codec's names, angles in radians; raises FieldError."""
     version = ground.get("format_version", FORMAT_VERSION)
     if version != FORMAT_VERSION:
@@ -241,7 +249,7 @@ def _mounting_section(ground: dict[str, Any]) -> dict[str, float]:
         "height_sigma_metres": number(ground, "height_sigma_metres", math.nan),
         "pitch_sigma_radians": math.radians(number(ground, "pitch_sigma_degrees", math.nan)),
         "roll_sigma_radians": math.radians(number(ground, "roll_sigma_degrees", math.nan)),
-        "scale_sigma": number(ground, "scale_sigma", math.nan),
+        "covariance": None if "covariance" not in ground else matrix_data(ground, "covariance"),
     }
 
 

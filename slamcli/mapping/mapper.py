@@ -27,6 +27,7 @@ from slamcli.core.telemetry import (
     TelemetryOptions,
 )
 from slamcli.mapping.backend.backend import MIN_EXTENT_SHARE, Backend
+from slamcli.mapping.backend.calibration_error import with_calibration_error
 from slamcli.mapping.backend.pose_graph import lost
 from slamcli.mapping.backend.sensors import Sensors
 from slamcli.mapping.frame_checks import is_known
@@ -37,7 +38,6 @@ from slamcli.mapping.motion_model import MotionModel
 from slamcli.mapping.preprocessing import Preprocessor
 from slamcli.mapping.relocalization import Relocalizer
 from slamcli.mapping.saved_state import MapperState
-from slamcli.mapping.scale_error import with_scale_error
 from slamcli.mapping.tracking import Tracker, begins_map
 from slamcli.mapping.tracking_state import TrackingState
 from slamcli.registration import RegistrationResult
@@ -94,10 +94,10 @@ class Mapper:
     def estimates(self) -> list[PoseEstimate]:
         """One for every frame so far, sorted by index, as revised by all that followed.
 
-        Covariances include the calibration's error of scale.
+        Covariances include the calibration's errors.
         """
         with self._lock:
-            return with_scale_error(self._graph.estimates, self.calibration.scale_sigma)
+            return with_calibration_error(self._graph, self.sensors, self.calibration)
 
     @property
     def links(self) -> list[Link]:

@@ -39,6 +39,7 @@ def example(**changes: object) -> Calibration:
         max_range_metres=1.25,
         height_sigma_metres=0.001,
         pitch_sigma_radians=0.002,
+        covariance=np.diag([4e-6, 9e-6, 4e-6, 1e-6]) + 1e-6,
     )
     return replace(calibration, **changes)  # type: ignore[arg-type]
 
@@ -80,6 +81,7 @@ def test_it_comes_back_to_the_last_bit(tmp_path: Path, model: str, distortion: l
     assert (read.image_size, read.distortion_model) == (written.image_size, model)
     assert read.pitch_sigma_radians == pytest.approx(0.002, rel=1e-15)
     assert math.isnan(read.focal_sigma_pixels)
+    assert np.array_equal(read.covariance, written.covariance)
     assert (
         yaml.safe_load(path.read_text())["ground_plane"]["made_from"]["photo"] == 'a "b" ä: #.png'
     )
@@ -154,6 +156,8 @@ def put(*keys: str, value: object) -> object:
         (put("ground_plane", "robot_from_image", "data", value=[1.0] * 9), "singular"),
         (put("ground_plane", "height_metres", value=0.28), "does not agree"),
         (put("ground_plane", "roll_degrees", value=1.7), "does not agree"),
+        (put("ground_plane", "covariance", "data", value=[-1.0] * 16), "is no covariance"),
+        (put("ground_plane", "covariance", "data", value=[*range(16)]), "is no covariance"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, edit: object, message: str) -> None:

@@ -48,9 +48,9 @@ class Calibration:
         Distance on the floor from the robot's origin beyond which the image is not used.
     focal_sigma_pixels, height_sigma_metres, pitch_sigma_radians, roll_sigma_radians : float
         One standard deviation of each; nan where it is not known.
-    scale_sigma : float
-        One standard deviation, as a share, of lengths on the floor in view: less than that of the
-        height, as the errors of the numbers above make up for one another. nan where not known.
+    covariance : (4, 4) float64 or None
+        Of the logarithms of focal length and height, and of pitch and roll (rad), whose errors make
+        up for one another. None where it is not known.
     unit : str
         ``m``; ``h`` for a camera found by its frames alone, where every "metre" is the camera's
         height; or ``px`` for top-down frames without a calibration, where every "metre" is a pixel
@@ -70,7 +70,7 @@ class Calibration:
     height_sigma_metres: float = float("nan")
     pitch_sigma_radians: float = float("nan")
     roll_sigma_radians: float = float("nan")
-    scale_sigma: float = float("nan")
+    covariance: Float64Array | None = None
     unit: Unit = "m"
 
     @property

@@ -8,7 +8,7 @@ covariance, refines it together with the focal length where that is not known.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration, Intrinsics
 from slamcli.core.camera.footprint import choose_max_range, seen_floor
 from slamcli.core.camera.lens import image_centre
-from slamcli.core.camera.mounting import compose_robot_from_image, image_from_robot_homography
+from slamcli.core.camera.mounting import image_from_robot_homography
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import Pose2, apply_homography, invert
 from slamcli.core.robust import fit_rigid_2d
@@ -32,7 +32,6 @@ _MAX_FOCAL_SIGMA_SHARE = 0.25
 # Nearer to straight down, the direction ahead and the roll are noise.
 _MAX_PITCH_RADIANS = math.radians(89.9)
 _MAX_LOG_HEIGHT = 20.0
-_SLOPE_STEP = 1e-5
 # A residual of more sigmas than this is reported: the target may be no flat square.
 MISFIT_SIGMAS = 4.0
 _NO_CAMERA = (
@@ -173,34 +172,10 @@ def make_calibration(
         height_sigma_metres=float(mounting.sigmas[1]),
         pitch_sigma_radians=float(mounting.sigmas[2]),
         roll_sigma_radians=float(mounting.sigmas[3]),
+        covariance=mounting.covariance,
     )
-    return replace(calibration, scale_sigma=_scale_sigma(calibration, mounting))
-
-
-def _scale_sigma(calibration: Calibration, mounting: Mounting) -> float:
-    """Return one standard deviation, as a share, of lengths between floor points in view."""
-    floor = seen_floor(calibration)
-    pixels = apply_homography(calibration.image_from_robot, floor)
-    centred = floor - floor.mean(axis=0)
-    # Of log focal, log height, pitch and roll.
-    slopes = np.zeros(4)
-    slopes[1] = 1.0
-    for number in (0, 2, 3):
-        lengths = []
-        for sign in (-1.0, 1.0):
-            change = np.zeros(4)
-            change[number] = sign * _SLOPE_STEP
-            zoom = math.exp(change[0])
-            robot_from_image = compose_robot_from_image(
-                calibration.camera_matrix @ np.diag([zoom, zoom, 1.0]),
-                calibration.height_metres,
-                calibration.pitch_radians + change[2],
-                calibration.roll_radians + change[3],
-            )
-            moved = apply_homography(robot_from_image, pixels)
-            lengths.append(float(np.sum(centred * (moved - moved.mean(axis=0)))))
-        slopes[number] = (lengths[1] - lengths[0]) / (2.0 * _SLOPE_STEP * float(np.sum(centred**2)))
-    return math.sqrt(float(slopes @ mounting.covariance @ slopes))
+    seen_floor(calibration)
+    return calibration
 
 
 def _refine(points: FloorPoints, camera_matrix: Float64Array, *, focal_free: bool) -> Mounting:

@@ -28,6 +28,7 @@ from slamcli.stages.posegraph.factors import (
 from slamcli.stages.posegraph.marginals import diagonal_blocks
 from slamcli.stages.posegraph.outliers import solve_without_outliers, spanning_tree
 from slamcli.stages.posegraph.problem import Problem
+from slamcli.stages.posegraph.sensitivity import pose_sensitivities
 from slamcli.stages.posegraph.state import GraphState
 from slamcli.stages.posegraph.variance import variance_factor
 
@@ -40,6 +41,7 @@ __all__ = [
     "components",
     "compose_covariance",
     "fuse",
+    "pose_sensitivities",
     "solve",
     "spanning",
 ]
