@@ -134,4 +134,6 @@ def _scaled_camera(found: adjustment.Adjustment, before: Calibration, scale: flo
         focal_sigma_pixels=float(sigmas[0] * calibration.camera_matrix[0, 0]),
         pitch_sigma_radians=float(sigmas[3]),
         roll_sigma_radians=float(sigmas[4]),
+        # That of the camera before; the frames say nothing of the height.
+        covariance=None,
     )
