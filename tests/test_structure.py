@@ -29,6 +29,7 @@ FLOORS = {
 }
 TOP = max(FLOORS.values())
 ONE_ROOM = {
+    "av": ("io/containers/video",),
     "dask": ("run/session/cluster",),
     "distributed": ("run/session/cluster",),
     "gtsam": (),

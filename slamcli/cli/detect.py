@@ -10,7 +10,8 @@ import click
 from slamcli.cli.options import common
 from slamcli.cli.options.features import feature_details, feature_kind
 from slamcli.cli.options.fields import filled
-from slamcli.core.config import FeatureOptions, NetworkFiles
+from slamcli.cli.options.selection import selection_options
+from slamcli.core.config import FeatureOptions, FrameSelection, NetworkFiles
 
 
 @click.command()
@@ -21,6 +22,7 @@ from slamcli.core.config import FeatureOptions, NetworkFiles
 )
 @feature_kind(FeatureOptions())
 @feature_details
+@selection_options
 @common.workers
 @common.overwrite
 def detect(
@@ -33,7 +35,7 @@ def detect(
 ) -> None:
     """Draw the feature points found in frames.
 
-    FRAMES is a folder or image files. The drawings also show what is left out by --clean
+    FRAMES is a folder, image files or a video. The drawings also show what is left out by --clean
     and --roi, and features.csv lists all points.
     """
     from slamcli.cli.progress import open_session
@@ -46,6 +48,7 @@ def detect(
             output or common.default_output(frames[0], "features"),
             filled(FeatureOptions(), flags),
             filled(NetworkFiles(), flags),
+            selection=filled(FrameSelection(), flags),
             overwrite=overwrite,
             session=session,
         )

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
 from slamcli.cli.options import common
+from slamcli.cli.options.fields import filled
+from slamcli.cli.options.selection import selection_options
 from slamcli.cli.options.values import PATH
+from slamcli.core.config import FrameSelection
 
 
 @click.command()
@@ -17,6 +21,7 @@ from slamcli.cli.options.values import PATH
 @common.output("CSV file for the poses, in the form of poses.csv.")
 @common.json_output
 @click.option("--strict", is_flag=True, help="Exit 3 when any frame is lost.")
+@selection_options
 @common.workers
 @common.overwrite
 def locate(
@@ -27,6 +32,7 @@ def locate(
     strict: bool,
     workers: int | None,
     overwrite: bool,
+    **flags: Any,
 ) -> None:
     """Find where frames lie in a finished map (relocalisation).
 
@@ -44,6 +50,7 @@ def locate(
             output,
             overwrite=overwrite,
             strict=strict,
+            selection=filled(FrameSelection(), flags),
             session=session,
         )
     click.echo(report.json if as_json else "\n".join(report.lines))

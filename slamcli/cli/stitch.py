@@ -15,6 +15,7 @@ from slamcli.cli.options.fields import filled, option, stacked
 from slamcli.cli.options.mapping import mapper_options
 from slamcli.cli.options.matching import matching_details, ratio
 from slamcli.cli.options.products import product_options
+from slamcli.cli.options.selection import selection_options
 from slamcli.cli.options.telemetry import telemetry_options
 from slamcli.cli.options.values import PATH, POSITIVE, Number, Words
 from slamcli.core.bounds import HERTZ
@@ -95,6 +96,7 @@ _run_options = stacked(
 @common.output("Folder of the map. Default: the frames' folder with _mosaic added.")
 @product_options
 @common.max_range
+@selection_options
 @_frame_options
 @telemetry_options
 @_run_options
@@ -114,9 +116,9 @@ def stitch(
 ) -> None:
     """Stitch the frames of a drive into one map of the floor.
 
-    FRAMES is a folder or image files, in the order they were taken. The output is a folder with the
-    map (an orthomosaic: metric, seen from above, with a world file) and poses.csv, which has for
-    every frame its pose, or the reason why it has none.
+    FRAMES is a folder, image files, in the order they were taken, or a video. The output is a
+    folder with the map (an orthomosaic: metric, seen from above, with a world file) and poses.csv,
+    which has for every frame its pose, or the reason why it has none.
     """
     from slamcli.cli.progress import open_session
     from slamcli.run.stitch import stitch as run_stitch

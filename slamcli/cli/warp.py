@@ -9,7 +9,8 @@ import click
 
 from slamcli.cli.options import common
 from slamcli.cli.options.fields import filled
-from slamcli.core.config import PaintOptions
+from slamcli.cli.options.selection import selection_options
+from slamcli.core.config import FrameSelection, PaintOptions
 
 
 @click.command()
@@ -18,6 +19,7 @@ from slamcli.core.config import PaintOptions
 @common.output("Folder of the views. Default: the frames' folder with _birdseye added.")
 @common.metres_per_pixel
 @common.max_range
+@selection_options
 @common.workers
 @common.overwrite
 def warp(
@@ -31,8 +33,8 @@ def warp(
 ) -> None:
     """Warp frames to metric bird's-eye views.
 
-    FRAMES is a folder or image files. Each becomes a PNG with a world file (inverse perspective
-    mapping), transparent where no floor is seen.
+    FRAMES is a folder, image files or a video. Each frame becomes a PNG with a world file (inverse
+    perspective mapping), transparent where no floor is seen.
     """
     from slamcli.cli.progress import open_session
     from slamcli.run.warp import warp as run_warp
@@ -44,6 +46,7 @@ def warp(
             output or common.default_output(frames[0], "birdseye"),
             metres_per_pixel=filled(PaintOptions(), flags).metres_per_pixel,
             max_range_metres=max_range,
+            selection=filled(FrameSelection(), flags),
             overwrite=overwrite,
             session=session,
         )

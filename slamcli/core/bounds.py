@@ -85,6 +85,7 @@ LONGITUDE_DEGREES = Bounds(-360.0, 360.0)
 # Seconds since any epoch: to the year 33,000, and exact to a millisecond.
 STAMP = Bounds(-1e12, 1e12)
 SECONDS_OR_ZERO = Bounds(0.0, 1e9)
+TIME_STEP = Bounds(1e-6, 1e6)
 SHARE = Bounds(0.0, 1.0)
 SHARE_ABOVE_ZERO = Bounds(0.0, 1.0, open_low=True)
 HALF_TURN_DEGREES = Bounds(0.0, 180.0)

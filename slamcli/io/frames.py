@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from slamcli.core.arrays import UInt8Array
+from slamcli.core.config import FrameSelection
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.records import Frame
+from slamcli.io.containers.part import Part, Progress, digest_of, silent
+from slamcli.io.containers.video import VIDEO_SUFFIXES, video_frames
 from slamcli.io.images import canvas
-from slamcli.io.images.decoding import Reading, decode, picture_size, read_bytes, sample_bits
+from slamcli.io.images.decoding import (
+    Reading,
+    decode,
+    from_pixels,
+    picture_size,
+    read_bytes,
+    sample_bits,
+)
 from slamcli.io.images.light import StaticLight
 from slamcli.io.images.own import is_marked
 
@@ -21,7 +30,6 @@ IMAGE_SUFFIXES = frozenset(
 )
 _DEEP_SUFFIXES = frozenset({".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff"})
 _MAX_SAMPLE_BITS = 16
-_DIGEST_BYTES = 16
 # A name such as 1446412345.250 is the time of capture in seconds since 1970 (TUM's convention).
 _EPOCH_NAME = re.compile(r"\d{9,10}\.\d+|\d{10}")
 
@@ -48,6 +56,8 @@ class FrameFile:
         `images.canvas`.
     light : StaticLight or None
         A pattern that is taken out of the picture.
+    part : Part or None
+        Which picture of the file it is; None for a file that is one picture.
     """
 
     index: int
@@ -58,11 +68,20 @@ class FrameFile:
     digest: bytes = b""
     canvas: tuple[int, int] | None = None
     light: StaticLight | None = None
+    part: Part | None = None
 
     @property
     def name(self) -> str:
-        """The file's name without its folder."""
-        return self.path.name
+        """The file's name without its folder, or that of the part."""
+        return self.path.name if self.part is None else self.part.name
+
+    def size(self) -> tuple[int, int]:
+        """Return the width and height that it declares, pixels, turned; raises FrameError."""
+        return read_size(self.path) if self.part is None else self.part.size
+
+    def content(self) -> bytes | UInt8Array:
+        """Return what is decoded: an encoded picture or pixels; raises FrameError."""
+        return read_bytes(self.path) if self.part is None else self.part.content()
 
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
@@ -74,38 +93,51 @@ def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
     return (*key, (0, 0, name))
 
 
-def list_frames(sources: Sequence[Path], frame_rate: float | None = None) -> list[FrameFile]:
-    """Return the pictures of folders and files, naturally sorted within each folder.
+def list_frames(
+    sources: Sequence[Path],
+    frame_rate: float | None = None,
+    selection: FrameSelection | None = None,
+    progress: Progress = silent,
+) -> list[FrameFile]:
+    """Return the pictures of folders, files and videos, naturally sorted within each folder.
 
     A folder without pictures of its own stands for its ``frames`` folder. What this program drew
     is no frame of a folder.
 
     Parameters
     ----------
-    sources : folders or picture files
+    sources : folders, picture files or videos
     frame_rate : float or None
-        Frames per second, to give stamps to frames whose names carry none.
+        Frames per second, to give stamps to frames whose names carry none, and to those of a video
+        in place of its own.
+    selection : FrameSelection or None
+        Of the frames of videos.
+    progress : function
+        Shows how far a video has been read.
 
     Raises
     ------
     InputError
         When a source does not exist, or there is no picture at all.
     """
-    paths: list[Path] = []
+    found: list[tuple[Path, Part | None]] = []
     for source in sources:
         if source.is_dir():
-            paths += _pictures_in(source)
+            found += [(path, None) for path in _pictures_in(source)]
+        elif source.exists() and source.suffix.lower() in VIDEO_SUFFIXES:
+            parts = video_frames(source, selection or FrameSelection(), progress)
+            found += [(source, part) for part in parts]
         elif source.exists():
-            paths.append(source)
+            found.append((source, None))
         else:
             raise InputError(f"{source} does not exist; give a folder of frames or image files")
-    if not paths:
+    if not found:
         suffixes = " ".join(sorted(IMAGE_SUFFIXES))
         raise InputError(f"no images in {', '.join(map(str, sources))}; looked for {suffixes}")
-    bits = _range_of(paths)
+    bits = _range_of([path for path, part in found if part is None])
     return [
-        FrameFile(index, path, _stamp(path, index, frame_rate), bits)
-        for index, path in enumerate(paths)
+        FrameFile(index, path, _stamp(path, part, index, frame_rate), bits, part=part)
+        for index, (path, part) in enumerate(found)
     ]
 
 
@@ -125,8 +157,8 @@ def read_frame(file: FrameFile, *, gray: bool = False, halved: bool = False) -> 
         In colours, of half the size, more quickly: each pixel the mean of two by two. The mask
         stays whole.
     """
-    data = read_bytes(file.path)
-    digest = hashlib.blake2b(data, digest_size=_DIGEST_BYTES).digest()
+    data = file.content()
+    digest = digest_of(data)
     if file.digest not in {b"", digest}:
         raise FrameError("the file has changed since it was read first")
     factor = 2 if halved and not gray else 1
@@ -140,7 +172,7 @@ def read_frame(file: FrameFile, *, gray: bool = False, halved: bool = False) -> 
 
 def read_reduced_gray(file: FrameFile) -> UInt8Array:
     """Return the frame as (h, w) gray of a quarter of its size, quickly; raises FrameError."""
-    return _decoded(file, read_bytes(file.path), gray=True, factor=4)[0]
+    return _decoded(file, file.content(), gray=True, factor=4)[0]
 
 
 def read_size(path: Path) -> tuple[int, int]:
@@ -163,9 +195,10 @@ def read_image(path: Path) -> UInt8Array:
 
 
 def _decoded(
-    file: FrameFile, data: bytes, *, gray: bool, factor: int
+    file: FrameFile, data: bytes | UInt8Array, *, gray: bool, factor: int
 ) -> tuple[UInt8Array, UInt8Array | None]:
-    return decode(data, Reading(gray, factor, file.sample_bits, file.camera_size))
+    reading = Reading(gray, factor, file.sample_bits, file.camera_size)
+    return decode(data, reading) if isinstance(data, bytes) else (from_pixels(data, reading), None)
 
 
 def _pictures_in(folder: Path) -> list[Path]:
@@ -187,7 +220,9 @@ def _pictures_in(folder: Path) -> list[Path]:
     return sorted(pictures, key=lambda path: natural_key(path.name))
 
 
-def _stamp(path: Path, index: int, frame_rate: float | None) -> float | None:
+def _stamp(path: Path, part: Part | None, index: int, frame_rate: float | None) -> float | None:
+    if part is not None:
+        return part.stamp if frame_rate is None else index / frame_rate
     if _EPOCH_NAME.fullmatch(path.stem):
         return float(path.stem)
     return None if frame_rate is None else index / frame_rate
@@ -195,7 +230,7 @@ def _stamp(path: Path, index: int, frame_rate: float | None) -> float | None:
 
 def _range_of(paths: Sequence[Path]) -> int:
     """Return the range of the frames' samples, bits: 12 bits in 16 are to be no black."""
-    first = _sample_bits(paths[0])
+    first = _sample_bits(paths[0]) if paths else None
     if first is None:
         return _MAX_SAMPLE_BITS
     # A first frame that is dark must not make the others white.

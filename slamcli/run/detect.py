@@ -8,7 +8,7 @@ from pathlib import Path
 
 from slamcli.core.arrays import BoolArray
 from slamcli.core.camera.calibration import Calibration
-from slamcli.core.config import FeatureOptions
+from slamcli.core.config import FeatureOptions, FrameSelection
 from slamcli.core.records import Features, Keypoints, View
 from slamcli.drawing.keypoints import draw_keypoints
 from slamcli.io.files import write_drawing
@@ -33,6 +33,7 @@ def detect(
     options: FeatureOptions,
     networks: NetworkFiles,
     *,
+    selection: FrameSelection | None = None,
     overwrite: bool,
     session: Session,
 ) -> list[str]:
@@ -43,7 +44,7 @@ def detect(
     InputError, CalibrationError, OutputError
         InputError also when no frame at all can be searched.
     """
-    inputs = open_inputs(sources, calibration_path)
+    inputs = open_inputs(sources, calibration_path, selection=selection, progress=session.progress)
     options = with_point_network(options, networks, options.method)
     resampler = _resampler(inputs)
     read = (*inputs.paths, *networks.paths)

@@ -9,10 +9,12 @@ from itertools import islice
 from pathlib import Path
 
 from slamcli.core.camera.calibration import Calibration, top_down_calibration
+from slamcli.core.config import FrameSelection
 from slamcli.core.errors import CalibrationError, FrameError, InputError
 from slamcli.core.records import FloorMap, PoseEstimate
 from slamcli.io.calibrations import load_calibration
-from slamcli.io.frames import FrameFile, list_frames, of_camera, read_size
+from slamcli.io.containers.part import Progress, silent
+from slamcli.io.frames import FrameFile, list_frames, of_camera
 from slamcli.io.images.unread import unread_note
 
 CALIBRATION_NAME = "calibration.yaml"
@@ -41,9 +43,9 @@ class Inputs:
 
     @property
     def paths(self) -> list[Path]:
-        """All files that are read."""
+        """All files that are read, each once."""
         calibration = [] if self.calibration_path is None else [self.calibration_path]
-        return [*calibration, *(file.path for file in self.files)]
+        return list(dict.fromkeys([*calibration, *(file.path for file in self.files)]))
 
 
 def open_inputs(
@@ -51,6 +53,8 @@ def open_inputs(
     calibration_path: Path | None,
     frame_rate: float | None = None,
     max_range_metres: float | None = None,
+    selection: FrameSelection | None = None,
+    progress: Progress = silent,
 ) -> Inputs:
     """Return the frames and their calibration: the named one, else the one in their folder.
 
@@ -62,22 +66,23 @@ def open_inputs(
         When there is no frame, none that can be read, or the calibration is broken or of another
         image size than every frame that can be read.
     """
-    files = list_frames(sources, frame_rate)
+    files = list_frames(sources, frame_rate, selection, progress)
     path, note = calibration_path, ""
     if path is None:
         path = next((path for path in _calibration_paths(sources, files) if path.is_file()), None)
         note = "" if path is None else f"calibration found: {path}"
-    unread = unread_note([file.path for file in files])
+    taken = dict.fromkeys(file.part.note for file in files if file.part is not None)
+    unread = unread_note([file.path for file in files if file.part is None])
     if path is None:
         calibration = top_down_calibration(_common_size(files))
         note = "no calibration: top-down frames, pixel units"
-        return Inputs(files, calibration, None, _lines(note, unread))
+        return Inputs(files, calibration, None, _lines(note, *taken, unread))
     calibration = load_calibration(path)
     if max_range_metres is not None:
         calibration = replace(calibration, max_range_metres=max_range_metres)
     check_size(files, calibration, path)
     files = of_camera(files, calibration.image_size)
-    return Inputs(files, calibration, path, _lines(note, unread))
+    return Inputs(files, calibration, path, _lines(note, *taken, unread))
 
 
 def _lines(*notes: str) -> str:
@@ -135,7 +140,7 @@ def _sizes(files: Sequence[FrameFile]) -> Iterator[tuple[int, int]]:
     reason, any_size = "", False
     for file in files:
         try:
-            size = read_size(file.path)
+            size = file.size()
         except FrameError as error:
             reason = reason or f"{file.name}: {error}"
             continue

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from slamcli.core.config import FrameSelection
 from slamcli.core.exit_codes import ExitCode, of_placement
 from slamcli.core.geometry import covariance_in_map
 from slamcli.core.records import PoseEstimate
@@ -40,6 +41,7 @@ def locate(
     *,
     overwrite: bool,
     strict: bool = False,
+    selection: FrameSelection | None = None,
     session: Session,
 ) -> LocateReport:
     """Find the frames of folders or files in a map.
@@ -50,12 +52,14 @@ def locate(
         A CSV as poses.csv.
     strict : bool
         Exit 3 when any frame is lost.
+    selection : FrameSelection or None
+        Of the frames of a video.
 
     Raises
     ------
     InputError, MapError, OutputError
     """
-    listed = list_frames(sources)
+    listed = list_frames(sources, None, selection, session.progress)
     if output is not None:
         inputs = (map_path(floor_map), *(file.path for file in listed))
         refuse_existing(output, inputs=inputs, overwrite=overwrite)

@@ -54,7 +54,8 @@ def render(
     floor_map = load_map(path, for_locating=False)
     outputs.check_products(options, floor_map.calibration)
     remedy = "give their folder with --frames"
-    files = list_frames(map_sources(floor_map, path, remedy) if frames is None else [frames])
+    sources = map_sources(floor_map, path, remedy) if frames is None else (frames,)
+    files = list_frames(sources, selection=floor_map.selection, progress=session.progress)
     if floor_map.calibration.unit == "px":
         canvas = floor_map.calibration.image_size
         files = [replace(file, canvas=canvas) for file in files]

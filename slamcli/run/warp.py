@@ -8,6 +8,7 @@ from pathlib import Path
 
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.footprint import check_metres_per_pixel, default_metres_per_pixel
+from slamcli.core.config import FrameSelection
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.io.raster import world_file
 from slamcli.run.inputs import open_inputs
@@ -27,6 +28,7 @@ def warp(
     *,
     metres_per_pixel: float | None,
     max_range_metres: float | None,
+    selection: FrameSelection | None = None,
     overwrite: bool,
     session: Session,
 ) -> list[str]:
@@ -37,7 +39,9 @@ def warp(
     InputError, CalibrationError, OutputError
         InputError also when no frame at all can be warped.
     """
-    inputs = open_inputs(sources, calibration_path, max_range_metres=max_range_metres)
+    inputs = open_inputs(
+        sources, calibration_path, None, max_range_metres, selection, session.progress
+    )
     scale = metres_per_pixel or default_metres_per_pixel(inputs.calibration)
     check_metres_per_pixel(inputs.calibration, scale, _MAX_VIEW_PIXELS)
     resampler = view.make_view_resampler(inputs.calibration, scale)

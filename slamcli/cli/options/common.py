@@ -78,7 +78,14 @@ def seed(group: MatchOptions | SimulationOptions) -> Decorator[Any]:
 
 
 def default_output(source: Path, suffix: str) -> Path:
-    """Return the folder beside the frames' own that results go to: frames -> frames_mosaic."""
+    """Return the folder beside the frames' own that results go to: frames -> frames_mosaic.
+
+    Of a video: drive.mp4 -> drive_mosaic.
+    """
+    from slamcli.io.containers.video import VIDEO_SUFFIXES
+
     folder = source.resolve() if source.is_dir() else source.resolve().parent
+    if source.suffix.lower() in VIDEO_SUFFIXES:
+        folder = source.resolve().with_suffix("")
     beside = folder.with_name(f"{folder.name}_{suffix}")
     return Path(os.path.relpath(beside)) if beside.is_relative_to(Path.cwd()) else beside

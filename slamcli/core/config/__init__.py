@@ -17,12 +17,14 @@ from slamcli.core.config.registration import (
     NetworkFiles,
     TransformModel,
 )
+from slamcli.core.config.selection import FrameSelection
 
 __all__ = [
     "Blend",
     "Datum",
     "FeatureMethod",
     "FeatureOptions",
+    "FrameSelection",
     "Layer",
     "MapFormat",
     "MapperOptions",

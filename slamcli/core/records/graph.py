@@ -8,7 +8,7 @@ from typing import Literal
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration, Rocking
-from slamcli.core.config import FeatureOptions
+from slamcli.core.config import FeatureOptions, FrameSelection
 from slamcli.core.geometry import Pose2
 from slamcli.core.records.frames import Keyframe
 
@@ -108,6 +108,8 @@ class FloorMap:
         Between them, those of odometry included.
     sources : tuple of Path
         Folders and files that the frames were read from, in their order; empty where not recorded.
+    selection : FrameSelection
+        Which frames were taken of those that are videos or bags.
     """
 
     calibration: Calibration
@@ -118,3 +120,4 @@ class FloorMap:
     estimates: tuple[PoseEstimate, ...]
     links: tuple[Link, ...]
     sources: tuple[Path, ...] = ()
+    selection: FrameSelection = field(default_factory=FrameSelection)

@@ -18,6 +18,8 @@ from slamcli.io.images.header import Header
 MAX_FILE_BYTES = 512 * 1024**2
 # The depths that cameras write into 16 bits.
 _CAMERA_BITS = (8, 10, 12, 14, 16)
+# How libpng makes gray of colours, in 2 ** 15 ths of blue, green and red, without rounding.
+_GRAY_SHARES = 3737, 19234, 9797
 _KINDS = {
     (False, 1): cv2.IMREAD_COLOR_BGR,
     (False, 2): cv2.IMREAD_REDUCED_COLOR_2,
@@ -103,6 +105,24 @@ def decode(data: bytes, reading: Reading) -> tuple[UInt8Array, UInt8Array | None
     return image, None if mask is None else turn(mask, code)
 
 
+def from_pixels(pixels: UInt8Array, reading: Reading) -> UInt8Array:
+    """Return decoded pixels, (H, W) gray or (H, W, 3) BGR, as a PNG of them would be read.
+
+    Raises
+    ------
+    FrameError
+    """
+    size = pixels.shape[1], pixels.shape[0]
+    _check_size(Header(*size), reading)
+    if reading.gray and pixels.ndim == 3:
+        # Rounded down: half a level less, so that no value lies between two.
+        row = [*(share / 2**15 for share in _GRAY_SHARES), 2**-16 - 0.5]
+        pixels = np.asarray(cv2.transform(pixels, np.array([row])), np.uint8)
+    elif not reading.gray and pixels.ndim == 2:
+        pixels = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR), np.uint8)
+    return _reduced(pixels, reading.factor)
+
+
 def picture_size(data: bytes) -> tuple[int, int]:
     """Return the width and height that the header declares, pixels, turned; raises FrameError."""
     kind = formats.format_of(data)
@@ -146,10 +166,8 @@ def _decoded(kind: str, data: bytes, header: Header, reading: Reading) -> UInt8A
 def _reduced(image: UInt8Array, factor: int) -> UInt8Array:
     if factor == 1:
         return image
-    scale, method = 1 / factor, cv2.INTER_LINEAR_EXACT
-    return np.asarray(
-        cv2.resize(image, None, fx=scale, fy=scale, interpolation=method), dtype=np.uint8
-    )
+    size = image.shape[1] // factor, image.shape[0] // factor
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR_EXACT), dtype=np.uint8)
 
 
 def _deep(data: bytes, kind: int) -> UInt16Array:

@@ -35,7 +35,9 @@ from slamcli.io.files import write_bytes
 from slamcli.io.map_file.header import (
     features_header,
     parse_features,
+    parse_selection,
     parse_sources,
+    selection_header,
     sources_header,
 )
 from slamcli.io.map_file.keyframes import (
@@ -75,6 +77,7 @@ def save_map(path: Path, floor_map: FloorMap) -> None:
         "tilt_sigma_degrees": floor_map.tilt_sigma_degrees,
         "norm": features_norm(keyframes),
         "sources": sources_header(floor_map.sources),
+        "selection": selection_header(floor_map.selection),
         "arrays": {name: [a.dtype.str, list(a.shape)] for name, a in arrays.items()},
     }
     text = json.dumps(header, sort_keys=True, allow_nan=False).encode()
@@ -181,6 +184,7 @@ def _parse(body: bytes) -> FloorMap:
         estimates,
         links,
         parse_sources(header.get("sources", [])),
+        parse_selection(header.get("selection", {})),
     )
 
 

@@ -7,8 +7,8 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
-from slamcli.core.bounds import FEATURES, quoted
-from slamcli.core.config import FeatureMethod, FeatureOptions
+from slamcli.core.bounds import FEATURES, HERTZ, SECONDS_OR_ZERO, TIME_STEP, quoted
+from slamcli.core.config import FeatureMethod, FeatureOptions, FrameSelection
 from slamcli.core.errors import MapError
 from slamcli.io.checks import check_number, check_word
 
@@ -55,3 +55,22 @@ def parse_sources(section: Any) -> tuple[Path, ...]:
     ):
         raise MapError("its sources are not a list of paths")
     return tuple(map(Path, section))
+
+
+def selection_header(selection: FrameSelection) -> dict[str, Any]:
+    """Return a selection of frames as JSON has it: what was given."""
+    return {name: value for name, value in asdict(selection).items() if value is not None}
+
+
+def parse_selection(section: Any) -> FrameSelection:
+    """Return a selection of frames of which every value is in its range.
+
+    Raises
+    ------
+    FieldError, InputError, MapError
+    """
+    limits = {field.name: SECONDS_OR_ZERO for field in fields(FrameSelection)}
+    limits |= {"every_seconds": TIME_STEP, "frames_per_second": HERTZ}
+    if not isinstance(section, dict) or not set(section) <= set(limits):
+        raise MapError("its selection of frames is not one of this version")
+    return FrameSelection(**{k: check_number(v, k, limits[k]) for k, v in section.items()})

@@ -43,7 +43,9 @@ def calibrate_by_frames(
         CalibrationError when the frames do not determine the camera.
     """
     path = output if output.suffix.lower() in {".yaml", ".yml"} else output / "calibration.yaml"
-    inputs = open_inputs(sources, calibration_path, max_range_metres=max_range_metres)
+    inputs = open_inputs(
+        sources, calibration_path, None, max_range_metres, progress=session.progress
+    )
     refuse_existing(path, inputs=inputs.paths, overwrite=overwrite)
     if inputs.calibration_path is None:
         raise InputError("--refine starts from a calibration; give it with -c")

@@ -244,7 +244,8 @@ def write(located: LocatedDrive, staging: Path, checkpoint: Checkpoint, session:
         save_calibration(staging / "calibration.yaml", located.calibration)
     if registered.floor_map is not None:
         sources = tuple(located.drive.sources)
-        save_map(staging / MAP_NAME, replace(registered.floor_map, sources=sources))
+        floor_map = replace(registered.floor_map, sources=sources, selection=options.selection)
+        save_map(staging / MAP_NAME, floor_map)
     exports.write_exports(staging, options.export, registered, located.mapper)
     report.write_run(staging / "run.toml", located, session)
     move_folder(checkpoint.drawings, staging / _DRAWINGS)

@@ -137,13 +137,22 @@ def open_drive(
     extension = None
     if options.extend is None:
         inputs = open_inputs(
-            sources, calibration_path, options.frame_rate, options.max_range_metres
+            sources,
+            calibration_path,
+            options.frame_rate,
+            options.max_range_metres,
+            options.selection,
+            session.progress,
         )
     else:
         _check_extension(options, calibration_path, telemetry_files)
         extension = open_extension(options.extend, sources, options.frame_rate)
         inputs, sources = extension.inputs, extension.sources
-        options = replace(options, mapper=extension.options(options.mapper))
+        options = replace(
+            options,
+            mapper=extension.options(options.mapper),
+            selection=extension.floor_map.selection,
+        )
     alone = inputs.calibration_path is None and extension is None and not telemetry_files.any
     if alone and options.mount == "auto":
         inputs = replace(inputs, files=without_static_light(inputs.files, session))

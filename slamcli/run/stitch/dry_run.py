@@ -69,7 +69,14 @@ def forecast(
     ------
     InputError, CalibrationError
     """
-    inputs = open_inputs(sources, calibration_path, options.frame_rate, options.max_range_metres)
+    inputs = open_inputs(
+        sources,
+        calibration_path,
+        options.frame_rate,
+        options.max_range_metres,
+        options.selection,
+        session.progress,
+    )
     checks = list(session.on_this_machine().stage("checking", _check, inputs.files))
     problems = _problems(inputs.files, checks) or ["none found"]
     return [

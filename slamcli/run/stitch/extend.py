@@ -65,10 +65,11 @@ def open_extension(finished: Path, later: Sequence[Path], frame_rate: float | No
     if again is not None:
         raise InputError(f"{again} is part of that map already; give the frames of a later drive")
     sources = (*known, *later)
-    files = list_frames(sources, frame_rate)
+    files = list_frames(sources, frame_rate, floor_map.selection)
     for estimate in floor_map.estimates:
         map_file_of(files, estimate, remedy=remedy)
-    check_size(list_frames(later), floor_map.calibration, path)
+    added = [file for file in files if any(file.path.is_relative_to(one) for one in later)]
+    check_size(added, floor_map.calibration, path)
     files = of_camera(files, floor_map.calibration.image_size)
     note = f"extending the map of {finished}, with its own camera and features"
     return Extension(floor_map, sources, Inputs(files, floor_map.calibration, path, note))

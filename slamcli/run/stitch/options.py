@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from slamcli.core.config import MapperOptions, ProductOptions
+from slamcli.core.config import FrameSelection, MapperOptions, ProductOptions
 from slamcli.core.telemetry import TelemetryOptions
 from slamcli.run.networks import NO_NETWORKS, NetworkFiles
 
@@ -28,6 +28,8 @@ class StitchOptions:
         Overrides the calibration's far limit.
     frame_rate : float or None
         Frames per second, for stamps.
+    selection : FrameSelection
+        Which frames of a video are used.
     mount : str
         How a camera without a calibration is carried: ``rigid`` holds it to three degrees of
         freedom, ``free`` to six; ``auto`` finds out.
@@ -53,6 +55,7 @@ class StitchOptions:
     products: ProductOptions = field(default_factory=ProductOptions)
     max_range_metres: float | None = None
     frame_rate: float | None = None
+    selection: FrameSelection = field(default_factory=FrameSelection)
     mount: Mount = "auto"
     height_metres: float | None = None
     self_calibrate: bool = False

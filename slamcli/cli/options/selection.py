@@ -1,0 +1,41 @@
+"""Options that select the frames of videos."""
+
+from __future__ import annotations
+
+from slamcli.cli.options.fields import option, stacked
+from slamcli.cli.options.values import Number
+from slamcli.core.bounds import HERTZ, SECONDS_OR_ZERO, TIME_STEP
+from slamcli.core.config import FrameSelection
+
+_SELECTION = FrameSelection()
+
+selection_options = stacked(
+    option(
+        _SELECTION,
+        "every_seconds",
+        "--every",
+        Number(TIME_STEP),
+        "Of a video, seconds from which one frame, the sharpest, is taken. Default: 0.1.",
+    ),
+    option(
+        _SELECTION,
+        "frames_per_second",
+        "--fps",
+        Number(HERTZ),
+        "The same as --every, as frames per second.",
+    ),
+    option(
+        _SELECTION,
+        "from_seconds",
+        "--from",
+        Number(SECONDS_OR_ZERO),
+        "Seconds of a video before the first frame that is used.",
+    ),
+    option(
+        _SELECTION,
+        "to_seconds",
+        "--to",
+        Number(SECONDS_OR_ZERO),
+        "Seconds of a video up to the last frame that is used.",
+    ),
+)

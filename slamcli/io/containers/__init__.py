@@ -1,0 +1,1 @@
+"""Files with many frames, each read as a list of parts."""
