@@ -41,6 +41,16 @@ class SlamGroup(click.Group):
         command: click.Command = getattr(import_module(f"slamcli.cli.{cmd_name}"), cmd_name)
         return command
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return a command with its arguments, which a report may show."""
+        from slamcli.cli.options.repeating import remember
+
+        name, command, rest = super().resolve_command(ctx, args)
+        remember(ctx, rest)
+        return name, command, rest
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of commands without loading them."""
         with formatter.section("Commands"):

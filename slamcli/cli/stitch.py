@@ -15,6 +15,7 @@ from slamcli.cli.options.fields import filled, option, stacked
 from slamcli.cli.options.mapping import mapper_options
 from slamcli.cli.options.matching import matching_details, ratio
 from slamcli.cli.options.products import product_options
+from slamcli.cli.options.repeating import repeating
 from slamcli.cli.options.selection import selection_options
 from slamcli.cli.options.telemetry import telemetry_options
 from slamcli.cli.options.values import PATH, POSITIVE, Number, Words
@@ -144,6 +145,7 @@ def stitch(
             telemetry=filled(TelemetryFiles(find_time_offset=offset is None), flags),
             overwrite=overwrite,
             session=session,
+            command=repeating(click.get_current_context()),
         )
     click.echo("\n".join(report.lines))
     sys.exit(report.exit_code)

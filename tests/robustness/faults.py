@@ -146,8 +146,8 @@ class Drive:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return all files of a folder, hidden ones too."""
-    paths = (path for path in folder.rglob("*") if path.is_file())
+    """Return all files of a folder, hidden ones too, but how long the run took."""
+    paths = (path for path in folder.rglob("*") if path.is_file() and path.name != "timing.toml")
     return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
 
 

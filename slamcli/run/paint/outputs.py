@@ -6,6 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
+import numpy as np
+
+from slamcli.core.arrays import UInt8Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.footprint import check_metres_per_pixel
 from slamcli.core.config import ProductOptions
@@ -45,6 +49,23 @@ _MAX_NAMED = 5
 # Of the floor that one frame sees; a map may have far more.
 _MAX_VIEW_PIXELS = 2**30
 _OVERVIEW_PIXELS, _MAX_OVERVIEW_FACTOR = 1600, 512
+# Unseen floor in an overview: the page that shows it has this background.
+_UNSEEN_GRAY = 236
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overview:
+    """A small picture of a painted map.
+
+    Attributes
+    ----------
+    image : (h, w, 3) uint8, BGR
+    grid : Grid
+        In the axes that the map is painted in.
+    """
+
+    image: UInt8Array
+    grid: Grid
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +78,13 @@ class PaintedMaps:
         Of the floor seen, over all maps.
     unread : tuple of str
         Names of frames that have a pose but could not be read again.
+    overviews : tuple of Overview or None
+        Of the maps, in their order; None for one of which nothing was seen.
     """
 
     area_square_metres: float
     unread: tuple[str, ...]
+    overviews: tuple[Overview | None, ...] = ()
 
     @property
     def note(self) -> str:
@@ -90,21 +114,23 @@ def write_maps(
     painters = [make_painter(scene.calibration, options) for scene in scenes]
     for scene, painter in zip(scenes, painters, strict=True):
         _check_size(scene, painter, options)
-    area, unread = 0.0, set[str]()
+    area, unread, overviews = 0.0, set[str](), list[Overview | None]()
     here = session.on_this_machine()
     for number, (scene, painter) in enumerate(zip(scenes, painters, strict=True)):
         store, missing = paint_scene(scene, painter, options, tiles_folder / str(number), session)
         unread |= missing
         grid = _extent(store, painter.metres_per_pixel, options)
+        overview = None
         if grid is not None:
             suffix = f"_{number}" if number else ""
             unit, map_from_painted = scene.calibration.unit, scene.map_from_painted
             given = replace(options, datum=options.datum or scene.datum)
-            _write_map(
+            overview = _write_map(
                 MapToWrite(staging, suffix, store, grid, unit, map_from_painted, given, here), scene
             )
             area += store.seen_pixels() * painter.metres_per_pixel**2
-    return PaintedMaps(area, tuple(sorted(unread)))
+        overviews.append(overview)
+    return PaintedMaps(area, tuple(sorted(unread)), tuple(overviews))
 
 
 def counted(names: Sequence[str]) -> str:
@@ -121,8 +147,8 @@ def check_products(options: ProductOptions, calibration: Calibration) -> None:
         geotiff.check_geotiff()
 
 
-def _write_map(output: MapToWrite, scene: Scene) -> None:
-    """Write a map in every format of its options, and the trajectory drawn over it."""
+def _write_map(output: MapToWrite, scene: Scene) -> Overview:
+    """Write a map in every format, and the trajectory drawn over it; return its overview."""
     _check_png(output.grid, output.options)
     for name in output.options.formats:
         FORMATS[name](output)
@@ -136,6 +162,17 @@ def _write_map(output: MapToWrite, scene: Scene) -> None:
     small = Grid(grid.x_min, grid.y_max, grid.metres_per_pixel * factor, width, height)
     drawing = draw_trajectory(image, mask, small, scene.estimates, output.unit)
     write_drawing(output.path("trajectory", ".png"), drawing)
+    return _overview(image, mask, small)
+
+
+def _overview(image: UInt8Array, mask: UInt8Array, grid: Grid) -> Overview:
+    """Return a map on the background of the page, of a size that it shows at once."""
+    visible = np.full_like(image, _UNSEEN_GRAY)
+    cv2.copyTo(image, mask, visible)
+    scale = min(1.0, _OVERVIEW_PIXELS / max(grid.width, grid.height))
+    size = max(1, round(scale * grid.width)), max(1, round(scale * grid.height))
+    small = np.asarray(cv2.resize(visible, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return Overview(small, Grid(grid.x_min, grid.y_max, grid.metres_per_pixel / scale, *size))
 
 
 def _check_size(scene: Scene, painter: Painter, options: ProductOptions) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,12 +20,14 @@ from slamcli.run.paint import outputs
 from slamcli.run.paint.outputs import PaintedMaps
 from slamcli.run.paint.scene import scenes_of
 from slamcli.run.paint.thumbnails import Thumbnails
+from slamcli.run.report import REPORT_NAME, write_report
 from slamcli.run.session.session import Session
 from slamcli.run.stitch import exports, oblique, report, resume, survey
 from slamcli.run.stitch.debug_drawings import draw_trials
 from slamcli.run.stitch.drive import Drive, LocatedDrive, open_drive
 from slamcli.run.stitch.options import StitchOptions
 from slamcli.run.stitch.report import StitchReport
+from slamcli.run.stitch.timing import TIMING_NAME, Timing
 from slamcli.run.telemetry import TelemetryFiles, feed_shifted
 
 _DRAWINGS = "matches"
@@ -35,6 +36,8 @@ PRODUCTS = (
     "run.toml",
     "calibration.yaml",
     MAP_NAME,
+    REPORT_NAME,
+    TIMING_NAME,
     *outputs.PRODUCTS,
     *exports.PRODUCTS,
     _DRAWINGS,
@@ -50,14 +53,20 @@ def stitch(
     telemetry: TelemetryFiles | None = None,
     overwrite: bool,
     session: Session,
+    command: str = "",
 ) -> StitchReport:
     """Map the frames of folders or files into `output`.
+
+    Parameters
+    ----------
+    command : str
+        The command line that repeats the run, for report.html.
 
     Raises
     ------
     InputError, CalibrationError, MapError, OutputError
     """
-    started = time.monotonic()
+    timing = Timing()
     drive = open_drive(sources, calibration_path, options, telemetry or TelemetryFiles(), session)
     with (
         session.interruption.on_signals(),
@@ -71,14 +80,22 @@ def stitch(
                 drive = resume.resume(drive, checkpoint, session)
             elif options.resume:
                 session.notify("nothing to resume: no run was cut off; the run begins anew")
+            timing.done("opening")
             located = locate_frames(drive, checkpoint, session)
+            timing.done("locating")
             located = self_calibrate(located, session)
+            timing.done("self_calibrating")
             painted = paint(located, staging, checkpoint, session)
+            timing.done("painting")
             write(located, staging, checkpoint, session)
+            timing.done("writing")
+            write_report(staging, report.finished(located, painted, command), session)
+            timing.done("reporting")
+            timing.write(staging / TIMING_NAME, located.reached, session)
             if session.interruption.happened or painted.unread or located.vanished:
                 checkpoint.keep()
-    seconds, interrupted = time.monotonic() - started, session.interruption.happened
-    return report.report(located, painted, output, seconds, interrupted=interrupted)
+    interrupted = session.interruption.happened
+    return report.report(located, painted, output, timing.seconds, interrupted=interrupted)
 
 
 def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> LocatedDrive:

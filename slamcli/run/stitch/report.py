@@ -13,6 +13,7 @@ from slamcli.mapping.backend.pose_graph import placed_fragments
 from slamcli.run.calibrate.self_calibration import describe, run_section
 from slamcli.run.networks import LEARNED
 from slamcli.run.paint.outputs import PaintedMaps, counted
+from slamcli.run.report.run import FinishedRun
 from slamcli.run.session.session import Session
 from slamcli.run.stitch import exports
 from slamcli.run.stitch.drive import Drive, LocatedDrive
@@ -52,26 +53,52 @@ def report(
         code = ExitCode.INCOMPLETE if code == ExitCode.DONE else code
         lines.append("put them back, and --resume continues from what was located before")
     rows = [
-        ("frames", str(len(estimates))),
-        ("placed", f"{len(placed)} ({len(placed) / len(estimates):.0%})"),
         *_map_rows(located, painted),
         ("time", f"{seconds:.1f} s, {located.reached / seconds:.1f} frames/s"),
         ("written to", str(output)),
+        *_use_rows(located),
     ]
-    method = located.mapper.options.features.method
-    if method in LEARNED:
-        rows.append(("map.slam", f"to render; slam locate and --extend do not take {method}"))
-    if located.survey is not None:
-        rows += located.survey.rows
-        rows.append(("map.slam", "to render; slam locate and --extend do not take surveys"))
     lines += [f"{name:<12} {value}" for name, value in rows]
     if located.self_calibration is not None:
         lines += describe(located.self_calibration)
     return StitchReport(tuple(lines), code)
 
 
+def finished(located: LocatedDrive, painted: PaintedMaps, command: str) -> FinishedRun:
+    """Return the run as its page shows it."""
+    drive, survey = located.drive, located.survey
+    return FinishedRun(
+        title=", ".join(source.resolve().name for source in drive.sources),
+        note=drive.inputs.note,
+        # The page lists lost frames in a table of their own.
+        rows=[row for row in _map_rows(located, painted) if row[0] != "lost"],
+        command=command,
+        files=drive.inputs.files[: located.reached],
+        estimates=located.estimates,
+        given=drive.inputs.calibration,
+        registered=located.registered,
+        mapper=located.mapper,
+        painted=painted,
+        turn_radians=drive.options.products.turn_radians,
+        self_calibration=located.self_calibration,
+        survey=None if survey is None else survey.rows,
+    )
+
+
+def _use_rows(located: LocatedDrive) -> list[tuple[str, str]]:
+    """Return rows on what a map of this kind can be used for."""
+    rows, method = [], located.mapper.options.features.method
+    if method in LEARNED:
+        rows.append(("map.slam", f"to render; slam locate and --extend do not take {method}"))
+    if located.survey is not None:
+        rows += located.survey.rows
+        rows.append(("map.slam", "to render; slam locate and --extend do not take surveys"))
+    return rows
+
+
 def _map_rows(located: LocatedDrive, painted: PaintedMaps) -> list[tuple[str, str]]:
     """Return the rows on the map: its fragments, the sensors' part, lost frames and its size."""
+    frames, placed = len(located.estimates), sum(e.status != "lost" for e in located.estimates)
     fragments = placed_fragments(located.estimates)
     length = sum(
         path_length([e.map_from_robot for e in members if e.map_from_robot is not None])
@@ -79,6 +106,8 @@ def _map_rows(located: LocatedDrive, painted: PaintedMaps) -> list[tuple[str, st
     )
     unit = located.calibration.unit
     return [
+        ("frames", str(frames)),
+        ("placed", f"{placed} ({placed / frames:.0%})"),
         ("fragments", str(len(fragments))),
         *_sensor_rows(located),
         *_lost_rows(located),

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from command_line import slam
+from command_line import contents, slam
 
 from slamcli.core.config import MapperOptions, PaintOptions, ProductOptions
 from slamcli.core.errors import OutputError
@@ -81,11 +81,6 @@ def test_frames_that_vanish_before_they_are_painted_are_named(
         "frames       4",
     )
     assert (tmp_path / "out" / "mosaic.png").is_file()
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    paths = (path for path in folder.rglob("*") if path.is_file())
-    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
 
 
 def damage(frames: Path, kind: str) -> None:

@@ -116,7 +116,9 @@ def test_a_run_tells_what_it_did(course_map: Path) -> None:
         "mosaic.png",
         "mosaic.yaml",
         "poses.csv",
+        "report.html",
         "run.toml",
+        "timing.toml",
         "trajectory.png",
     ]
 
@@ -136,7 +138,7 @@ def test_the_bytes_are_the_same_for_any_number_of_workers(
         outputs.append(tmp_path / f"out{number}{len(outputs)}")
         result = slam("stitch", few_frames, "-o", outputs[-1], "--workers", number)
         assert result.exit_code == 0, result.output
-    for name in ("poses.csv", "mosaic.png", "mosaic.yaml", "trajectory.png"):
+    for name in ("poses.csv", "mosaic.png", "mosaic.yaml", "trajectory.png", "report.html"):
         assert (outputs[0] / name).read_bytes() == (outputs[1] / name).read_bytes(), name
     mapper = slamcli.Mapper(slamcli.load_calibration(calibration))
     for file in list_frames([few_frames]):

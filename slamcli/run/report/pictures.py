@@ -1,0 +1,75 @@
+"""Small pictures of frames and of the map, as data URLs, within a limit on the page's size."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Sequence
+from functools import partial
+
+import cv2
+
+from slamcli.core.arrays import UInt8Array
+from slamcli.core.errors import FrameError
+from slamcli.core.records import PoseEstimate
+from slamcli.io.frames import FrameFile, read_frame
+from slamcli.run.session.session import Session
+
+# Longer side of a frame's picture, pixels, for up to so many frames. [Pages of 100 and of 1,000
+# frames: 1.5 and 5.2 MB of the sample's floor.]
+_SIDES = ((150, 320), (400, 240), (10**9, 176))
+_MAX_PICTURES = 1000
+_QUALITY = 72
+
+
+def data_url(image: UInt8Array, quality: int) -> str:
+    """Return a picture as a JPEG in a data URL."""
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
+
+
+def shrunk(image: UInt8Array, side: int) -> UInt8Array:
+    """Return a picture whose longer side has at most so many pixels."""
+    scale = side / max(image.shape[:2])
+    if scale >= 1.0:
+        return image
+    size = max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale))
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)  # type: ignore[return-value]
+
+
+def frame_pictures(
+    files: Sequence[FrameFile], estimates: Sequence[PoseEstimate], session: Session
+) -> dict[str, str]:
+    """Return data URLs by frame index: of all frames, or of many evenly spread ones.
+
+    What cannot be read again has none.
+    """
+    chosen = _chosen(files, estimates)
+    side = next(side for count, side in _SIDES if len(chosen) <= count)
+    stage = session.on_this_machine().stage("reporting", partial(_picture, side=side), chosen)
+    found = zip(chosen, stage, strict=True)
+    return {str(file.index): url for file, url in found if url}
+
+
+def _chosen(files: Sequence[FrameFile], estimates: Sequence[PoseEstimate]) -> list[FrameFile]:
+    """Return the frames that get a picture; half of the places are for those without a pose."""
+    if len(files) <= _MAX_PICTURES:
+        return list(files)
+    lost = [file for file in files if estimates[file.index].map_from_robot is None]
+    lost = _spread(lost, _MAX_PICTURES // 2)
+    indices = {file.index for file in lost}
+    others = [file for file in files if file.index not in indices]
+    return sorted([*lost, *_spread(others, _MAX_PICTURES - len(lost))], key=lambda file: file.index)
+
+
+def _spread(files: Sequence[FrameFile], count: int) -> list[FrameFile]:
+    step = max(1, math.ceil(len(files) / max(1, count)))
+    return list(files[::step])
+
+
+def _picture(file: FrameFile, side: int) -> str:
+    try:
+        image = read_frame(file, halved=True).image
+    except FrameError:  # lost for that reason, or vanished since
+        return ""
+    return data_url(shrunk(image, side), _QUALITY)
