@@ -105,6 +105,9 @@ def link_table(run: FinishedRun) -> list[list[object]]:
         off = registered.switched_off
         kept = [(n, link) for n, link in kept if link.kind != "step" or n in off][:_MAX_LINKS]
     residuals = link_residuals([link for _, link in kept], run.estimates)
+    if run.survey is not None:
+        # A survey adjusts the matches themselves; the spread of its links is no measured one.
+        residuals[:, 2] = math.nan
     return [
         [
             *(link.a, link.b, link.kind, int(number in registered.switched_off), link.inliers),

@@ -232,7 +232,7 @@
     if (centre && frame && frame.fragment >= 0) [view.x, view.y] = painted(frame.x, frame.y);
     draw(); paintStrip(); paintCard();
   }
-  const chip = frame => element("button", { type: "button", class: "chip", title: `frame ${frame.index}`, onclick: () => { choose(frame, true); byId("viewer").scrollIntoView({ block: "nearest" }); } }, frame.name);
+  const chip = frame => element("button", { type: "button", class: "chip", title: `${frame.name}, frame ${frame.index}`, onclick: () => { choose(frame, true); byId("viewer").scrollIntoView({ block: "nearest" }); } }, frame.name);
   function paintCard() {
     const card = byId("card"), frame = selected;
     if (!frame) {
@@ -267,7 +267,7 @@
         element("td", {}, chip(link.a === frame ? link.b : link.a)),
         element("td", { class: link.off ? "off" : "", title: link.off ? "switched off: the other links contradict it" : "" }, NAMES[link.kind] || link.kind),
         element("td", { class: "number" }, String(link.inliers || "–")),
-        element("td", {}, `${lengthText(link.length, 2)}, ${angleText(link.angle)} (${link.sigmas.toFixed(1)} sigmas)`)))));
+        element("td", {}, `${lengthText(link.length, 2)}, ${angleText(link.angle)}${link.sigmas === null ? "" : ` (${link.sigmas.toFixed(1)} sigmas)`}`)))));
   }
 
   // ---- switches ----
