@@ -92,7 +92,7 @@ def survey_features(gray: UInt8Array, mask: UInt8Array | None = None) -> SurveyF
         (found + 0.5) * factor - 0.5 - image_centre((width, height)),
         np.sqrt(descriptors / sums),
         np.argsort(-sizes, kind="stable")[:_MAX_COARSE_POINTS],
-        _thumbnail(gray, mask),
+        local_detail(gray, mask, _THUMBNAIL_SIDE_PIXELS),
     )
 
 
@@ -130,9 +130,10 @@ def rank_in_group(group: IntpArray, value: Float64Array | None = None) -> IntpAr
     return rank
 
 
-def _thumbnail(gray: UInt8Array, mask: UInt8Array | None) -> Float32Array:
+def local_detail(gray: UInt8Array, mask: UInt8Array | None, side_pixels: int) -> Float32Array:
+    """Return a picture reduced to a longer side, its local brightness and contrast normalised."""
     height, width = gray.shape
-    scale = min(1.0, _THUMBNAIL_SIDE_PIXELS / max(width, height))
+    scale = min(1.0, side_pixels / max(width, height))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     small = np.asarray(cv2.resize(gray, size, interpolation=cv2.INTER_AREA), np.float32)
     known = np.ones_like(small)

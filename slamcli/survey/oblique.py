@@ -22,6 +22,13 @@ from slamcli.core.camera.mounting import image_from_robot_homography
 from slamcli.core.geometry import apply_homography, invert
 from slamcli.core.robust import fit_rigid_2d
 from slamcli.survey.features import SurveyFeatures
+from slamcli.survey.oblique_camera import (
+    BEND_PRIOR_SIGMA,
+    FOCAL_PRIOR_SIGMA,
+    ROLL_PRIOR_SIGMA,
+    ObliqueCamera,
+    undistorted,
+)
 from slamcli.survey.pairs import match, plausible
 
 # [All thresholds here: guarded by benchmarks/real_sets.py.]
@@ -30,12 +37,9 @@ _THRESHOLD_SHARE, _MAX_ITERATIONS, _CONFIDENCE = 0.002, 3000, 0.9999
 _MIN_MATCHES, _APART_FACTOR, _ROW_PERCENTILES = 25, 4.0, (10.0, 90.0)
 # Starts of the search: pitch in degrees, and focal length in widths of the picture.
 _PITCHES, _FOCALS = (15.0, 30.0, 45.0, 60.0), (0.6, 0.9, 1.3)
-_FOCAL_PRIOR_SIGMA, _ROLL_PRIOR_SIGMA, _BEND_PRIOR_SIGMA = 0.7, math.radians(10.0), 0.1
 _BEHIND_PIXELS, _LOSS_PIXELS = 1e3, 1.5
 _ROUGH_MATCHES, _ROUGH_STEPS, _MAX_MATCHES = 25, 12, 120
 _MIN_MOTIONS, _MAX_RESIDUAL_SHARE = 3, 0.002
-# Of an observable camera: sigmas of log focal length and of the pitch.
-_MAX_FOCAL_SIGMA, _MAX_PITCH_SIGMA, _MAX_PITCH = 0.1, math.radians(2.0), math.radians(70.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,40 +60,6 @@ class FloorMotion:
     pixels_b: Float64Array
     apart: bool
     residual_pixels: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ObliqueCamera:
-    """What the motions determine of a camera.
-
-    Attributes
-    ----------
-    focal_pixels : float
-    pitch_radians, roll_radians : float
-        As in `Calibration`.
-    k1 : float
-        Radial distortion, in OpenCV's model.
-    focal_sigma, pitch_sigma : float
-        Of the logarithm; radians.
-    median_pixels : float
-        Of the residuals.
-    reason : str
-        Why the camera is not determined; empty when it is.
-    """
-
-    focal_pixels: float
-    pitch_radians: float
-    roll_radians: float
-    k1: float
-    focal_sigma: float
-    pitch_sigma: float
-    median_pixels: float
-    reason: str = ""
-
-    @property
-    def steep(self) -> bool:
-        """Whether the camera may as well look straight down."""
-        return not self.pitch_radians < _MAX_PITCH
 
 
 def floor_motion(first: SurveyFeatures, second: SurveyFeatures) -> FloorMotion | None:
@@ -186,9 +156,9 @@ def _solved(
     def misfit(values: Float64Array) -> Float64Array:
         residual = [_residuals(one, values, width).ravel() / _LOSS_PIXELS for one in motions]
         prior = [
-            values[0] / _FOCAL_PRIOR_SIGMA,
-            values[2] / _ROLL_PRIOR_SIGMA,
-            values[3] / _BEND_PRIOR_SIGMA,
+            values[0] / FOCAL_PRIOR_SIGMA,
+            values[2] / ROLL_PRIOR_SIGMA,
+            values[3] / BEND_PRIOR_SIGMA,
         ]
         return np.concatenate([*residual, prior])
 
@@ -202,20 +172,12 @@ def _some(motion: FloorMotion, count: int) -> FloorMotion:
 
 
 def _checked(camera: ObliqueCamera, width: int) -> ObliqueCamera:
-    if camera.median_pixels > _MAX_RESIDUAL_SHARE * width:
-        reason = (
-            "no fixed camera over a flat floor explains the motions "
-            f"({camera.median_pixels:.1f} px left)"
-        )
-    elif camera.focal_sigma > _MAX_FOCAL_SIGMA or camera.pitch_sigma > _MAX_PITCH_SIGMA:
-        reason = (
-            f"the frames do not determine the focal length (±{camera.focal_sigma:.0%}) and the "
-            f"pitch (±{math.degrees(camera.pitch_sigma):.1g}°): let the camera turn on its way"
-        )
-    elif not 0.0 < camera.pitch_radians < _MAX_PITCH:
-        reason = f"its pitch of {math.degrees(camera.pitch_radians):.0f}° is not plausible"
-    else:
-        return camera
+    if camera.median_pixels <= _MAX_RESIDUAL_SHARE * width:
+        return camera.checked()
+    reason = (
+        "no fixed camera over a flat floor explains the motions "
+        f"({camera.median_pixels:.1f} px left)"
+    )
     return replace(camera, reason=reason)
 
 
@@ -230,7 +192,7 @@ def _residuals(motion: FloorMotion, values: Float64Array, width: int) -> Float64
     matrix = np.diag([focal, focal, 1.0])
     image_from_floor = image_from_robot_homography(matrix, 1.0, pitch, roll)
     floor_from_image = invert(image_from_floor)
-    seen = [_undistorted(pixels, k1, focal) for pixels in (motion.pixels_a, motion.pixels_b)]
+    seen = [undistorted(pixels, k1, focal) for pixels in (motion.pixels_a, motion.pixels_b)]
     depths = [points @ floor_from_image[2, :2] + floor_from_image[2, 2] for points in seen]
     below = (depths[0] > 1e-6) & (depths[1] > 1e-6)
     residual = np.full_like(motion.pixels_a, _BEHIND_PIXELS)
@@ -242,12 +204,3 @@ def _residuals(motion: FloorMotion, values: Float64Array, width: int) -> Float64
     moved = fit_rigid_2d(floor_a, floor_b, weights).apply(floor_b)
     residual[below] = apply_homography(image_from_floor, moved) - seen[0][below]
     return np.clip(np.nan_to_num(residual, nan=_BEHIND_PIXELS), -_BEHIND_PIXELS, _BEHIND_PIXELS)
-
-
-def _undistorted(pixels: Float64Array, k1: float, focal: float) -> Float64Array:
-    """Return undistorted pixels, by two steps of the fixed-point iteration."""
-    undistorted = pixels
-    for _ in range(4):
-        squares = np.sum((undistorted / focal) ** 2, axis=1)
-        undistorted = pixels / np.clip(1.0 + k1 * squares, 0.3, 3.0)[:, None]
-    return undistorted

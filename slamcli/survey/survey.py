@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -13,21 +12,10 @@ from slamcli.survey import candidates
 from slamcli.survey.bundle import ALL_MATCHES, Bundle, Lens, Mount, adjust, learned_mount
 from slamcli.survey.candidates import NumberPair
 from slamcli.survey.features import SurveyFeatures
+from slamcli.survey.in_order import InOrder
 from slamcli.survey.network import connected, first_states, rescaled
 from slamcli.survey.pairs import Pair, coarse_votes, find_pair
 from slamcli.survey.projection import project
-
-Result = TypeVar("Result")
-
-
-class InOrder(Protocol):
-    """Works as `map` does; may work ahead."""
-
-    def __call__(
-        self, work: Callable[[NumberPair], Result], items: Sequence[NumberPair], /
-    ) -> Iterable[Result]:
-        """Yield ``work(item)`` in the items' order."""
-
 
 # Rounds of matching what the poses predict to overlap, of leaving out contradicted pairs, and of
 # learning how freely the camera moves. [Guarded by benchmarks/real_sets.py.]

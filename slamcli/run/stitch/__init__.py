@@ -9,7 +9,7 @@ from pathlib import Path
 from slamcli.core.errors import InputError
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.checkpoints import Checkpoint
-from slamcli.io.frames import FrameFile
+from slamcli.io.frames import FrameFile, of_camera
 from slamcli.io.map_file import MAP_NAME, save_map
 from slamcli.io.outputs import locked_folder, move_folder, remove_folder, staging_folder
 from slamcli.io.poses import write_poses
@@ -114,7 +114,30 @@ def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> Loc
     if not may_be_survey or session.interruption.happened or whole:
         return located
     surveyed = _survey_frames(drive, *_describe_frames(drive, session), session)
-    return surveyed if _size(surveyed) > _size(located) else located
+    best = surveyed if _size(surveyed) > _size(located) else located
+    few = 2 * _size(surveyed)[0] < len(drive.inputs.files)
+    return _locate_by_pixels(drive, best, checkpoint, session) if few else best
+
+
+def _locate_by_pixels(
+    drive: Drive, best: LocatedDrive, checkpoint: Checkpoint, session: Session
+) -> LocatedDrive:
+    """Locate the frames of a camera that looks ahead over a floor of lines, if that places more.
+
+    Raises
+    ------
+    InputError
+        When it looks ahead and the frames do not determine it.
+    """
+    if drive.options.mount != "auto" or session.interruption.happened:
+        return best
+    size = drive.inputs.calibration.image_size
+    files = of_camera(drive.inputs.files, size)
+    camera = oblique.find_camera_by_pixels(files, session)
+    if camera is None:
+        return best
+    located = _track_frames(oblique.with_camera(drive, camera, size), checkpoint, session)
+    return located if _size(located) >= _size(best) else best
 
 
 def _locate_uncalibrated(

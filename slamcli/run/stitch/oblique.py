@@ -5,23 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from slamcli.core.camera.calibration import Calibration
-from slamcli.core.camera.footprint import choose_max_range
-from slamcli.core.camera.lens import image_centre
-from slamcli.core.camera.mounting import compose_robot_from_image, image_from_robot_homography
-from slamcli.core.errors import InputError
-from slamcli.io.frames import of_camera
+from slamcli.core.arrays import UInt8Array
+from slamcli.core.errors import FrameError, InputError
+from slamcli.io.frames import FrameFile, of_camera, read_frame
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.session.session import Session
 from slamcli.run.stitch.drive import Drive
 from slamcli.survey import SurveyFeatures
-from slamcli.survey.oblique import FloorMotion, ObliqueCamera, estimate_camera, floor_motion
+from slamcli.survey.oblique import FloorMotion, estimate_camera, floor_motion
+from slamcli.survey.oblique_by_pixels import MAX_PICTURES, camera_by_pixels
+from slamcli.survey.oblique_camera import ObliqueCamera
 
 # Every frame's floor is compared with that of the next ones; at most so many pairs are needed.
 _NEIGHBOURS, _MAX_MOTIONS = 2, 24
+# The camera is sought by the pixels of at most so many runs of consecutive pictures.
+_RUNS = 3
 # A fixed camera leaves at most this many times the error of a free homography for each pair.
 _EXPLAINED_FACTOR, _EXPLAINED_PIXELS = 1.5, 0.3
 
@@ -62,6 +64,40 @@ def find_camera(
     return camera if explained and not camera.steep else None
 
 
+def find_camera_by_pixels(files: Sequence[FrameFile], session: Session) -> ObliqueCamera | None:
+    """Return the fixed camera that some runs of consecutive pictures show, determined or not.
+
+    For floors of lines and edges, whose features have no motion in common. None when there is none.
+
+    Parameters
+    ----------
+    files : sequence of FrameFile
+        Those whose pictures have another size than most are left out.
+    """
+    found = None
+    starts = np.linspace(0, max(0, len(files) - MAX_PICTURES), _RUNS).round().astype(int)
+    for start in np.unique(starts).tolist():
+        pictures = _pictures(files[start : start + MAX_PICTURES])
+        if len(pictures) < 2:
+            continue
+        camera = camera_by_pixels(pictures, partial(session.stage, "finding the floor"))
+        if camera is not None and not camera.reason:
+            return camera
+        found = found or camera
+    return found
+
+
+def _pictures(files: Sequence[FrameFile]) -> list[UInt8Array]:
+    """Return the pictures that can be read."""
+    found = []
+    for file in files:
+        try:
+            found.append(read_frame(file, gray=True).image)
+        except FrameError:
+            continue
+    return found
+
+
 def _motion(pair: tuple[SurveyFeatures, SurveyFeatures]) -> FloorMotion | None:
     return floor_motion(*pair)
 
@@ -81,7 +117,7 @@ def with_camera(drive: Drive, camera: ObliqueCamera, size: tuple[int, int]) -> D
             "from above"
         )
     options = replace(drive.options, self_calibrate=True)
-    calibration = _calibration(camera, size, options.height_metres)
+    calibration = camera.calibration(size, options.height_metres)
     mapper = Mapper(calibration, drive.mapper.options, options.telemetry)
     note = (
         f"no calibration: a camera that looks ahead, by the frames: focal length "
@@ -94,27 +130,3 @@ def with_camera(drive: Drive, camera: ObliqueCamera, size: tuple[int, int]) -> D
         inputs, files=of_camera(inputs.files, size), calibration=calibration, note=note
     )
     return replace(drive, inputs=inputs, options=options, mapper=mapper)
-
-
-def _calibration(
-    camera: ObliqueCamera, size: tuple[int, int], height_metres: float | None
-) -> Calibration:
-    column, row = image_centre(size)
-    focal, height = camera.focal_pixels, height_metres or 1.0
-    matrix = np.array([[focal, 0.0, column], [0.0, focal, row], [0.0, 0.0, 1.0]])
-    mounting = (height, camera.pitch_radians, camera.roll_radians)
-    image_from_robot = image_from_robot_homography(matrix, *mounting)
-    return Calibration(
-        camera_matrix=matrix,
-        distortion=np.array([camera.k1, 0.0, 0.0, 0.0, 0.0]),
-        distortion_model="plumb_bob",
-        image_size=size,
-        robot_from_image=compose_robot_from_image(matrix, *mounting),
-        height_metres=height,
-        pitch_radians=camera.pitch_radians,
-        roll_radians=camera.roll_radians,
-        max_range_metres=choose_max_range(matrix, image_from_robot, size),
-        focal_sigma_pixels=camera.focal_sigma * focal,
-        pitch_sigma_radians=camera.pitch_sigma,
-        unit="m" if height_metres else "h",
-    )
