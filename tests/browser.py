@@ -62,7 +62,7 @@ class Page:
             "assert",
         }:
             self.errors.append(json.dumps(about["args"]))
-        elif method == "Log.entryAdded" and about["entry"]["level"] in {"error", "warning"}:
+        elif method == "Log.entryAdded" and about["entry"]["level"] == "error":
             self.errors.append(about["entry"]["text"])
         elif method == "Network.requestWillBeSent":
             url = about["request"]["url"]

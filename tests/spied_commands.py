@@ -21,6 +21,7 @@ ARGUMENTS = {
     "stitch": ["frames"],
     "locate": ["frames", "frames"],
     "render": ["frames"],
+    "view": ["frames"],
     "warp": ["frames"],
     "detect": ["frames"],
     "match": ["frames/a.png", "frames/b.png"],

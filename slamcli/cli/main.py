@@ -23,6 +23,7 @@ COMMANDS = {
     "render": "Paint a finished map again, with other options.",
     "simulate": "Simulate a drive over a floor, with ground truth.",
     "stitch": "Stitch the frames of a drive into one map of the floor.",
+    "view": "Show the report of a map in the browser.",
     "warp": "Warp frames to metric bird's-eye views.",
 }
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from slamcli.core.arrays import UInt8Array
-from slamcli.core.errors import OutputError
-from slamcli.io.files import write_image, write_text
+from slamcli.core.errors import InputError, OutputError
+from slamcli.io.files import read_text, write_image, write_text
 from slamcli.io.raster.tile_store import reduced
 
 
@@ -58,6 +59,25 @@ def write_deep_zoom(
         '<Image xmlns="http://schemas.microsoft.com/deepzoom/2009" Format="png" Overlap="0" '
         f'TileSize="{tile_pixels}"><Size Width="{size[0]}" Height="{size[1]}"/></Image>\n',
     )
+
+
+def write_position(path: Path, position: Mapping[str, object]) -> None:
+    """Write where a pyramid lies, as JSON beside its .dzi; that format has no place for it."""
+    write_text(path, json.dumps(position, indent=1) + "\n")
+
+
+def read_position(path: Path) -> dict[str, object]:
+    """Return what `write_position` wrote.
+
+    Raises
+    ------
+    InputError
+    """
+    try:
+        found = json.loads(read_text(path, "position of a pyramid"))
+    except ValueError as error:
+        raise InputError(f"{path} is damaged: {error}") from error
+    return dict(found)
 
 
 def _children(folder: Path, row: int, column: int, tile_pixels: int) -> UInt8Array:

@@ -152,6 +152,20 @@ def _write_deep_zoom(output: MapToWrite) -> None:
 
     name = f"mosaic{output.suffix}"
     deepzoom.write_deep_zoom(output.folder, name, (aligned.width, aligned.height), side, cut())
+    origin = output.map_from_painted
+    deepzoom.write_position(
+        output.folder / f"{name}.dzi.json",
+        {
+            "unit": output.unit,
+            "metres_per_pixel": aligned.metres_per_pixel,
+            "x_min": aligned.x_min,
+            "y_max": aligned.y_max,
+            "width": aligned.width,
+            "height": aligned.height,
+            "tile_pixels": side,
+            "map_from_picture": [origin.x, origin.y, origin.theta],
+        },
+    )
 
 
 def _write_nav2(output: MapToWrite) -> None:

@@ -31,6 +31,7 @@ PRODUCTS = (
     "mosaic*.pgw",
     "mosaic*.tif",
     "mosaic*.dzi",
+    "mosaic*.dzi.json",
     "mosaic*_files",
     "obstacles*.png",
     "obstacles*.pgw",

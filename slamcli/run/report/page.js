@@ -2,6 +2,8 @@
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
   const unit = data.unit;
+  // Pictures of the maps at full resolution, which a local server adds to the page.
+  const pyramids = JSON.parse(document.getElementById("tiles").textContent);
   const style = getComputedStyle(document.documentElement);
   const colour = name => style.getPropertyValue("--" + name).trim();
   const byId = id => document.getElementById(id);
@@ -128,6 +130,7 @@
       const x = width / 2 + (current.x - view.x) * view.scale, y = height / 2 - (current.y - view.y) * view.scale;
       context.imageSmoothingEnabled = view.scale * current.scale < 3;
       context.drawImage(current.image, x, y, current.width * current.scale * view.scale, current.height * current.scale * view.scale);
+      paintTiles();
       context.fillStyle = "rgba(255,255,255,.25)"; context.fillRect(0, 0, width, height);
     }
     if (byId("show-gps").checked) paintGps();
@@ -135,6 +138,29 @@
     paintPath();
     if (selected && selected.fragment === current.fragment) paintSelected();
     paintScaleBar();
+  }
+  const tiles = new Map(), MOST_TILES = 600;
+  function paintTiles() {
+    const one = pyramids[maps.indexOf(current)];
+    if (!one) return;
+    const levels = Math.max(0, Math.ceil(Math.log2(Math.max(one.width, one.height))));
+    const wanted = Math.ceil(Math.log2(view.scale * one.scale * (window.devicePixelRatio || 1)));
+    const level = Math.min(levels, Math.max(0, levels + wanted)), side = one.tile * 2 ** (levels - level) * one.scale;
+    const left = view.x - width / 2 / view.scale, top = view.y + height / 2 / view.scale;
+    const ends = (from, to, count) => [Math.max(0, Math.floor(from / side)), Math.min(Math.ceil(count * one.scale / side) - 1, Math.floor(to / side))];
+    const [column0, column1] = ends(left - one.x, left - one.x + width / view.scale, one.width);
+    const [row0, row1] = ends(one.y - top, one.y - top + height / view.scale, one.height);
+    for (let row = row0; row <= row1; row++) for (let column = column0; column <= column1; column++) {
+      const url = `${one.url}/${level}/${column}_${row}.png`;
+      let image = tiles.get(url);
+      if (!image) {
+        if (tiles.size >= MOST_TILES) tiles.delete(tiles.keys().next().value);
+        image = new Image(); image.onload = draw; image.src = url; tiles.set(url, image);
+      }
+      if (!image.complete || !image.naturalWidth) continue;
+      const size = side / one.tile * view.scale;
+      context.drawImage(image, width / 2 + (one.x + column * side - view.x) * view.scale, height / 2 - (one.y - row * side - view.y) * view.scale, image.naturalWidth * size, image.naturalHeight * size);
+    }
   }
   function paintGps() {
     for (const [fragment, x, y, readX, readY, far] of data.sensors.gps) {

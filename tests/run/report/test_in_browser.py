@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from browser import CHROMIUM, Page, browser
 
+from slamcli.io.raster.deepzoom import write_deep_zoom, write_position
 from slamcli.run.report import REPORT_NAME, write_report
 from slamcli.run.report.run import FinishedRun
 from slamcli.run.session.session import Session
+from slamcli.run.view import open_server
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 
@@ -69,3 +73,33 @@ def test_the_map_is_drawn_and_answers(page: Page, tmp_path: Path) -> None:
     page.screenshot(tmp_path / "page.png")
     assert page.errors == []
     assert page.requests == [(tmp_path / REPORT_NAME).as_uri()]
+
+
+def test_a_local_server_adds_the_full_resolution(run: FinishedRun, tmp_path: Path) -> None:
+    """Green tiles, of half the floor, over the brown overview; the other half was never seen."""
+    write_report(tmp_path, run, Session())
+    green = np.zeros((256, 256, 4), np.uint8)
+    green[..., 1] = green[..., 3] = 255
+    write_deep_zoom(tmp_path, "mosaic", (800, 600), 256, [(0, 0, green), (1, 0, green)])
+    position = {"x_min": -1.0, "y_max": 4.0, "metres_per_pixel": 0.01, "tile_pixels": 256}
+    write_position(tmp_path / "mosaic.dzi.json", {**position, "width": 800, "height": 600})
+    server = open_server(tmp_path)
+    thread = threading.Thread(target=server.serve)
+    thread.start()
+    try:
+        with browser(tmp_path / "profile") as page:
+            page.open(server.address)
+            page.wait("document.body.dataset.drawn === 'yes'")
+            width, height = page.run("[floor.clientWidth, floor.clientHeight]")
+            scale = 0.92 * min(width / 8.0, height / 6.0)
+            x, y = (int(width / 2 + (0.0 - 3.0) * scale), int(height / 2 - (3.5 - 1.0) * scale))
+            colour = COLOUR.format(x=x, y=y)
+            page.wait(f"(([r, g, b]) => g > 200 && r < 100)({colour})")
+            red, green_, _ = page.run(COLOUR.format(x=int(width / 2), y=y))
+            assert red > green_ + 20
+            assert page.errors == []
+            assert page.requests
+            assert all(url.startswith(server.address) for url in page.requests)
+    finally:
+        server.close()
+        thread.join()

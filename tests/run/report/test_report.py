@@ -62,7 +62,7 @@ def test_no_name_of_a_file_ends_the_script_or_begins_another(
     first = replace(run.estimates[0], name=odd)
     write_report(tmp_path, replace(run, estimates=[first, *run.estimates[1:]]), Session())
     page = (tmp_path / REPORT_NAME).read_text(encoding="utf-8")
-    assert page.count("<script") == page.count("</script>") == 2
+    assert page.count("<script") == page.count("</script>") == 3
     assert "<!--" not in page
     assert data_of(tmp_path)["frames"][0][0] == odd.replace("\udcff", "\\xff")
 

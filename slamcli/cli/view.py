@@ -1,0 +1,34 @@
+"""`slam view`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from slamcli.cli.options.values import PATH, Whole
+from slamcli.core.bounds import Bounds
+
+
+@click.command()
+@click.argument("run", type=PATH)
+@click.option(
+    "--port",
+    type=Whole(Bounds(0, 65535, whole=True)),
+    default=0,
+    help="Port of this machine that the browser connects to. Default: a free one.",
+)
+@click.option("--browser/--no-browser", default=True, help="Open it in the browser.")
+def view(run: Path, port: int, *, browser: bool) -> None:
+    """Show the report of a map in the browser.
+
+    RUN is the output folder of `slam stitch`. The report is served to this machine alone, with the
+    map's pyramid of tiles (--format deepzoom) at full resolution, until Ctrl-C.
+    """
+    from slamcli.run.view import view as run_view
+
+    try:
+        run_view(run, port=port, browser=browser, notify=click.echo)
+    except KeyboardInterrupt:
+        # The way to end it.
+        click.echo("ended")
