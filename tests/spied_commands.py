@@ -23,6 +23,7 @@ ARGUMENTS = {
     "render": ["frames"],
     "view": ["frames"],
     "warp": ["frames"],
+    "extract": ["frames"],
     "detect": ["frames"],
     "match": ["frames/a.png", "frames/b.png"],
     "evaluate": ["frames/a.png", "frames/b.png"],

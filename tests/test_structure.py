@@ -30,6 +30,7 @@ FLOORS = {
 TOP = max(FLOORS.values())
 ONE_ROOM = {
     "av": ("io/containers/video",),
+    "rosbags": ("io/containers/bag",),
     "dask": ("run/session/cluster",),
     "distributed": ("run/session/cluster",),
     "gtsam": (),

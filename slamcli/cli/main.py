@@ -18,6 +18,7 @@ COMMANDS = {
     "calibrate": "Calibrate the camera from photos of a square on the floor.",
     "detect": "Draw the feature points found in frames.",
     "evaluate": "Measure the error of poses against ground truth.",
+    "extract": "Write the frames and readings of a video or bag as files.",
     "locate": "Find where frames lie in a finished map (relocalisation).",
     "match": "Estimate the transform between two pictures.",
     "render": "Paint a finished map again, with other options.",

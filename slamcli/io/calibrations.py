@@ -13,10 +13,11 @@ import yaml
 from slamcli.core.arrays import Float64Array
 from slamcli.core.bounds import quoted
 from slamcli.core.camera.calibration import Calibration, Intrinsics
-from slamcli.core.errors import CalibrationError
+from slamcli.core.errors import CalibrationError, InputError
 from slamcli.io import calibration_codec
 from slamcli.io.camera_info import intrinsics_section, matrix_data, number, read_document
 from slamcli.io.checks import FieldError, check_array
+from slamcli.io.containers.bag_readings import camera_info, has_readings
 from slamcli.io.files import write_text
 
 FORMAT_VERSION = 1
@@ -112,7 +113,7 @@ def load_origin(path: str | Path) -> CalibrationSource | None:
 
 
 def load_intrinsics(path: str | Path) -> Intrinsics:
-    """Return the camera of a camera_info: a ROS file, a topic's echo, or OpenCV's FileStorage.
+    """Return the camera of a camera_info: a ROS file, a topic's echo, a bag, or OpenCV's.
 
     Raises
     ------
@@ -120,7 +121,11 @@ def load_intrinsics(path: str | Path) -> Intrinsics:
         One line that names the file, the key and what is wrong with it.
     """
     path = Path(path)
-    document = read_document(path, "camera_info")
+    try:
+        bag = has_readings(path)
+        document = camera_info(path) if bag else read_document(path, "camera_info")
+    except InputError as error:
+        raise CalibrationError(str(error)) from error
     try:
         return calibration_codec.intrinsics_from_dict(intrinsics_section(document))
     except FieldError as error:

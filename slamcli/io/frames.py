@@ -11,8 +11,8 @@ from slamcli.core.arrays import UInt8Array
 from slamcli.core.config import FrameSelection
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.records import Frame
+from slamcli.io.containers.listing import parts_of
 from slamcli.io.containers.part import Part, Progress, digest_of, silent
-from slamcli.io.containers.video import VIDEO_SUFFIXES, video_frames
 from slamcli.io.images import canvas
 from slamcli.io.images.decoding import (
     Reading,
@@ -24,14 +24,22 @@ from slamcli.io.images.decoding import (
 )
 from slamcli.io.images.light import StaticLight
 from slamcli.io.images.own import is_marked
+from slamcli.io.stamps import stamps_of_names
 
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
 )
 _DEEP_SUFFIXES = frozenset({".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff"})
 _MAX_SAMPLE_BITS = 16
-# A name such as 1446412345.250 is the time of capture in seconds since 1970 (TUM's convention).
-_EPOCH_NAME = re.compile(r"\d{9,10}\.\d+|\d{10}")
+
+
+@dataclass(frozen=True, slots=True)
+class _Listed:
+    """A picture that was found: its file, which part of it, and its own stamp."""
+
+    path: Path
+    part: Part | None = None
+    stamp: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,45 +107,50 @@ def list_frames(
     selection: FrameSelection | None = None,
     progress: Progress = silent,
 ) -> list[FrameFile]:
-    """Return the pictures of folders, files and videos, naturally sorted within each folder.
+    """Return the pictures of folders, files, videos and bags, naturally sorted within each folder.
 
     A folder without pictures of its own stands for its ``frames`` folder. What this program drew
     is no frame of a folder.
 
     Parameters
     ----------
-    sources : folders, picture files or videos
+    sources : folders, picture files, videos or bags
     frame_rate : float or None
         Frames per second, to give stamps to frames whose names carry none, and to those of a video
         in place of its own.
     selection : FrameSelection or None
-        Of the frames of videos.
+        Of the frames of videos and bags.
     progress : function
-        Shows how far a video has been read.
+        Shows how far a video or a bag has been read.
 
     Raises
     ------
     InputError
         When a source does not exist, or there is no picture at all.
     """
-    found: list[tuple[Path, Part | None]] = []
+    found: list[_Listed] = []
     for source in sources:
-        if source.is_dir():
-            found += [(path, None) for path in _pictures_in(source)]
-        elif source.exists() and source.suffix.lower() in VIDEO_SUFFIXES:
-            parts = video_frames(source, selection or FrameSelection(), progress)
-            found += [(source, part) for part in parts]
-        elif source.exists():
-            found.append((source, None))
-        else:
+        if not source.exists():
             raise InputError(f"{source} does not exist; give a folder of frames or image files")
+        parts = parts_of(source, selection or FrameSelection(), progress)
+        if parts is not None:
+            found += [_Listed(source, part, part.stamp) for part in parts]
+        elif source.is_dir():
+            found += _stamped(_pictures_in(source), frame_rate, ordered=False)
+        else:
+            found.append(_Listed(source))
+    named = set(sources)
+    alone = [n for n, one in enumerate(found) if one.part is None and one.path in named]
+    stamped = _stamped([found[n].path for n in alone], frame_rate, ordered=True)
+    for number, one in zip(alone, stamped, strict=True):
+        found[number] = one
     if not found:
         suffixes = " ".join(sorted(IMAGE_SUFFIXES))
         raise InputError(f"no images in {', '.join(map(str, sources))}; looked for {suffixes}")
-    bits = _range_of([path for path, part in found if part is None])
+    bits = _range_of([one.path for one in found if one.part is None])
     return [
-        FrameFile(index, path, _stamp(path, part, index, frame_rate), bits, part=part)
-        for index, (path, part) in enumerate(found)
+        FrameFile(index, one.path, _stamp(one, index, frame_rate), bits, part=one.part)
+        for index, one in enumerate(found)
     ]
 
 
@@ -220,12 +233,22 @@ def _pictures_in(folder: Path) -> list[Path]:
     return sorted(pictures, key=lambda path: natural_key(path.name))
 
 
-def _stamp(path: Path, part: Part | None, index: int, frame_rate: float | None) -> float | None:
-    if part is not None:
-        return part.stamp if frame_rate is None else index / frame_rate
-    if _EPOCH_NAME.fullmatch(path.stem):
-        return float(path.stem)
-    return None if frame_rate is None else index / frame_rate
+def _stamped(paths: Sequence[Path], frame_rate: float | None, *, ordered: bool) -> list[_Listed]:
+    """Return pictures with the stamps of their names, in whose order they are unless it is given.
+
+    A frame rate takes the place of stamps that may be something else.
+    """
+    stamps = stamps_of_names([path.stem for path in paths])
+    if stamps is None or (frame_rate is not None and not stamps.sure):
+        return [_Listed(path) for path in paths]
+    found = [_Listed(path, None, stamp) for path, stamp in zip(paths, stamps.seconds, strict=True)]
+    return found if ordered else sorted(found, key=lambda one: one.stamp or 0.0)
+
+
+def _stamp(one: _Listed, index: int, frame_rate: float | None) -> float | None:
+    if frame_rate is None or (one.part is None and one.stamp is not None):
+        return one.stamp
+    return index / frame_rate
 
 
 def _range_of(paths: Sequence[Path]) -> int:

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.bounds import (
@@ -29,6 +30,12 @@ from slamcli.core.telemetry import (
     CompassReading,
     GpsReading,
     OdometryReading,
+)
+from slamcli.io.containers.bag_readings import (
+    has_readings,
+    read_bag_compass,
+    read_bag_gps,
+    read_bag_odometry,
 )
 from slamcli.io.csv_table import HEADINGS, STAMPS, Table, parse_table
 from slamcli.io.files import read_text, write_text
@@ -59,29 +66,31 @@ def write_odometry(path: Path, stamps: Sequence[float], poses: Sequence[Pose2]) 
 
 
 def write_compass(
-    path: Path, stamps: Sequence[float], headings_radians: Float64Array, sigma: float
+    path: Path, stamps: Sequence[float], headings_radians: Float64Array, sigmas: ArrayLike
 ) -> None:
-    """Write stamp, heading and sigma (rad)."""
+    """Write stamp, heading and sigma (rad), one for all or one for each."""
+    columns = stamps, headings_radians, np.broadcast_to(sigmas, len(stamps))
     rows = (
         (f"{stamp:.6f}", f"{heading:.6f}", f"{sigma:.6f}")
-        for stamp, heading in zip(stamps, headings_radians, strict=True)
+        for stamp, heading, sigma in zip(*columns, strict=True)
     )
     _write(path, ("stamp", "heading", "sigma"), rows)
 
 
 def write_gps(
-    path: Path, stamps: Sequence[float], places_degrees: Float64Array, sigma: float
+    path: Path, stamps: Sequence[float], places_degrees: Float64Array, sigmas: ArrayLike
 ) -> None:
-    """Write stamp, latitude, longitude (degrees, WGS84) and sigma (m)."""
+    """Write stamp, latitude, longitude (degrees, WGS84) and sigma (m), one for all or for each."""
+    columns = stamps, places_degrees, np.broadcast_to(sigmas, len(stamps))
     rows = (
         (f"{stamp:.6f}", f"{latitude:.10f}", f"{longitude:.10f}", f"{sigma:.3f}")
-        for stamp, (latitude, longitude) in zip(stamps, places_degrees, strict=True)
+        for stamp, (latitude, longitude), sigma in zip(*columns, strict=True)
     )
     _write(path, ("stamp", "latitude", "longitude", "sigma"), rows)
 
 
 def read_odometry(path: Path) -> list[OdometryReading]:
-    """Return the readings of a CSV with columns stamp (s), x, y (m), heading (rad), or of TUM.
+    """Return the readings of a CSV with columns stamp (s), x, y (m), heading (rad), TUM or a bag.
 
     ``heading_degrees`` is converted. The poses are integrated, from any origin.
 
@@ -90,6 +99,8 @@ def read_odometry(path: Path) -> list[OdometryReading]:
     InputError
         One line that names the file, and the line of it where there is one.
     """
+    if has_readings(path):
+        return read_bag_odometry(path)
     track = read_trajectory(path)
     if track.stamps is None:
         raise InputError(f"{path} has poses without stamps; odometry needs a column stamp")
@@ -101,7 +112,7 @@ def read_odometry(path: Path) -> list[OdometryReading]:
 
 
 def read_compass(path: Path) -> list[CompassReading]:
-    """Return the readings of a CSV with columns stamp (s), heading (rad), optionally sigma (rad).
+    """Return the readings of a CSV with columns stamp (s), heading (rad), perhaps sigma, or a bag.
 
     Headings are counter-clockwise from east; a column ``bearing`` is clockwise from north. Each
     may be in degrees: ``heading_degrees``, ``bearing_degrees``, ``sigma_degrees``.
@@ -111,6 +122,8 @@ def read_compass(path: Path) -> list[CompassReading]:
     InputError
         One line that names the file, and the line of it where there is one.
     """
+    if has_readings(path):
+        return read_bag_compass(path)
     table = _read(path, "compass readings")
     stamps = table.numbers(STAMPS, STAMP)
     if table.has_angles(_BEARINGS) and not table.has_angles(HEADINGS):
@@ -131,7 +144,7 @@ def read_compass(path: Path) -> list[CompassReading]:
 
 
 def read_gps(path: Path) -> list[GpsReading]:
-    """Return the readings of a CSV with columns stamp (s), latitude, longitude, optionally sigma.
+    """Return the readings of a CSV with stamp (s), latitude, longitude, perhaps sigma, or a bag.
 
     Degrees, WGS84; sigma in metres, east and north alike.
 
@@ -140,6 +153,8 @@ def read_gps(path: Path) -> list[GpsReading]:
     InputError
         One line that names the file, and the line of it where there is one.
     """
+    if has_readings(path):
+        return read_bag_gps(path)
     table = _read(path, "GPS readings")
     stamps = table.numbers(STAMPS, STAMP)
     latitudes = table.numbers(_LATITUDES, LATITUDE_DEGREES)

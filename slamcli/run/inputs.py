@@ -71,7 +71,7 @@ def open_inputs(
     if path is None:
         path = next((path for path in _calibration_paths(sources, files) if path.is_file()), None)
         note = "" if path is None else f"calibration found: {path}"
-    taken = dict.fromkeys(file.part.note for file in files if file.part is not None)
+    taken = taken_notes(files)
     unread = unread_note([file.path for file in files if file.part is None])
     if path is None:
         calibration = top_down_calibration(_common_size(files))
@@ -83,6 +83,11 @@ def open_inputs(
     check_size(files, calibration, path)
     files = of_camera(files, calibration.image_size)
     return Inputs(files, calibration, path, _lines(note, *taken, unread))
+
+
+def taken_notes(files: Sequence[FrameFile]) -> list[str]:
+    """Return a line for each video or bag: how many of its frames were taken."""
+    return list(dict.fromkeys(file.part.note for file in files if file.part is not None))
 
 
 def _lines(*notes: str) -> str:

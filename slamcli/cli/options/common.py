@@ -82,10 +82,10 @@ def default_output(source: Path, suffix: str) -> Path:
 
     Of a video: drive.mp4 -> drive_mosaic.
     """
-    from slamcli.io.containers.video import VIDEO_SUFFIXES
+    from slamcli.io.containers.listing import CONTAINER_SUFFIXES
 
     folder = source.resolve() if source.is_dir() else source.resolve().parent
-    if source.suffix.lower() in VIDEO_SUFFIXES:
+    if source.suffix.lower() in CONTAINER_SUFFIXES:
         folder = source.resolve().with_suffix("")
     beside = folder.with_name(f"{folder.name}_{suffix}")
     return Path(os.path.relpath(beside)) if beside.is_relative_to(Path.cwd()) else beside

@@ -15,7 +15,7 @@ selection_options = stacked(
         "every_seconds",
         "--every",
         Number(TIME_STEP),
-        "Of a video, seconds from which one frame, the sharpest, is taken. Default: 0.1.",
+        "Of a video or a bag, seconds from which one frame, the sharpest, is taken. Default: 0.1.",
     ),
     option(
         _SELECTION,
@@ -29,13 +29,20 @@ selection_options = stacked(
         "from_seconds",
         "--from",
         Number(SECONDS_OR_ZERO),
-        "Seconds of a video before the first frame that is used.",
+        "Seconds of a video or a bag before the first frame that is used.",
     ),
     option(
         _SELECTION,
         "to_seconds",
         "--to",
         Number(SECONDS_OR_ZERO),
-        "Seconds of a video up to the last frame that is used.",
+        "Seconds of a video or a bag up to the last frame that is used.",
+    ),
+    option(
+        _SELECTION,
+        "topic",
+        "--topic",
+        text="Topic of a bag's frames. Default: the only one that has pictures.",
+        metavar="NAME",
     ),
 )

@@ -23,12 +23,15 @@ class FrameSelection:
         The same as a rate.
     from_seconds, to_seconds : float or None
         The part that is read, from the first frame on.
+    topic : str
+        Of the frames of a bag; empty for the only one.
     """
 
     every_seconds: float | None = None
     frames_per_second: float | None = None
     from_seconds: float | None = None
     to_seconds: float | None = None
+    topic: str = ""
 
     def __post_init__(self) -> None:
         if self.every_seconds is not None and self.frames_per_second is not None:

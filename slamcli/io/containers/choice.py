@@ -11,12 +11,15 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float32Array, UInt8Array
+from slamcli.core.config import FrameSelection
 
 Payload = TypeVar("Payload")
 
 # Sharpness is compared on pictures of at most about this width: there the blur of motion still
 # differs, and the noise does not count as detail.
 _SHARPNESS_WIDTH = 960
+# Frames that are not denser than this share of an interval are all taken.
+_DENSE_SHARE = 0.9
 # Standing is decided on pictures of at most about this width, in blocks of this side.
 _STANDING_WIDTH, _BLOCK_PIXELS = 240, 16
 # A block stands where it changes by less than this share of its own contrast, gray levels (root
@@ -44,19 +47,82 @@ class Candidate(Generic[Payload]):
     payload: Payload
 
 
+@dataclass(slots=True)
+class Counts:
+    """How many frames there are in the part that was chosen, and why some of them are left out.
+
+    Attributes
+    ----------
+    all : int
+    damaged : int
+    standing : int
+        Of a camera that has not moved since the frame before.
+    thinned : bool
+        Whether only the sharpest frame of each interval is taken.
+    """
+
+    all: int = 0
+    damaged: int = 0
+    standing: int = 0
+    thinned: bool = False
+
+    def note(self, name: str, taken: int) -> str:
+        """Return the line that says which frames of a file were chosen."""
+        parts = [f"{name}: {taken} of {self.all} frames taken"]
+        if self.thinned:
+            parts.append("the sharpest of each interval (--every)")
+        if self.standing:
+            parts.append(f"{self.standing} left out where the camera stands")
+        if self.damaged:
+            parts.append(f"{self.damaged} damaged")
+        return ", ".join(parts)
+
+
+def choose(
+    candidates: Iterable[Candidate[Payload]],
+    selection: FrameSelection,
+    step_seconds: float,
+    counts: Counts,
+) -> Iterator[Candidate[Payload]]:
+    """Yield the frames that a selection takes of all sound ones, in their order.
+
+    Parameters
+    ----------
+    step_seconds : float
+        Time between two frames, on average.
+    counts : Counts
+        Filled.
+    """
+    counts.thinned = step_seconds <= _DENSE_SHARE * selection.interval_seconds
+    chosen = _within(candidates, selection, counts)
+    if counts.thinned:
+        chosen = sharpest(chosen, selection.interval_seconds, step_seconds)
+    yield from moving(chosen, counts)
+
+
+def _within(
+    candidates: Iterable[Candidate[Payload]], selection: FrameSelection, counts: Counts
+) -> Iterator[Candidate[Payload]]:
+    """Yield the frames of the part that was selected."""
+    begin, end = selection.from_seconds or 0.0, selection.to_seconds
+    for candidate in candidates:
+        if end is not None and candidate.seconds > end:
+            return
+        if candidate.seconds >= begin:
+            counts.all += 1
+            yield candidate
+
+
 def sharpest(
     candidates: Iterable[Candidate[Payload]], interval_seconds: float, step_seconds: float
 ) -> Iterator[Candidate[Payload]]:
-    """Yield the sharpest frame of each interval, the first of equals; all when they are no denser.
+    """Yield the sharpest frame of each interval, the first of equals.
 
     Parameters
     ----------
     step_seconds : float
         Time between two frames, on average.
     """
-    if step_seconds > 0.9 * interval_seconds:
-        yield from candidates
-        return
     best: tuple[int, float, Candidate[Payload]] | None = None
     for candidate in candidates:
         # In the middle between two frames, so that rounded stamps do not change the interval.
@@ -71,7 +137,9 @@ def sharpest(
         yield best[2]
 
 
-def moving(candidates: Iterable[Candidate[Payload]]) -> Iterator[Candidate[Payload]]:
+def moving(
+    candidates: Iterable[Candidate[Payload]], counts: Counts
+) -> Iterator[Candidate[Payload]]:
     """Yield the frames that differ from the one yielded before: of a standing camera, the first."""
     kept: Float32Array | None = None
     last: UInt8Array | None = None
@@ -80,6 +148,7 @@ def moving(candidates: Iterable[Candidate[Payload]]) -> Iterator[Candidate[Paylo
         if kept is not None and last is not None and kept.shape == fine.shape:
             same = np.array_equal(last, candidate.luma)
             if same or _is_standing(kept, fine):
+                counts.standing += 1
                 continue
         kept, last = fine, candidate.luma
         yield candidate

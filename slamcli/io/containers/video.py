@@ -6,7 +6,6 @@ presentation stamps as integers and seeks by an assumed constant rate.
 
 from __future__ import annotations
 
-import itertools
 import stat
 from bisect import bisect_right
 from collections import OrderedDict
@@ -23,7 +22,7 @@ import numpy as np
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.config import FrameSelection
 from slamcli.core.errors import FrameError, InputError
-from slamcli.io.containers.choice import Candidate, moving, sharpest
+from slamcli.io.containers.choice import Candidate, Counts, choose
 from slamcli.io.containers.part import Progress, digest_of, silent
 from slamcli.io.images.exif import turn
 from slamcli.io.images.header import Header
@@ -96,15 +95,6 @@ class VideoFrame:
         return self.video.frame(self.presentation)
 
 
-@dataclass(slots=True)
-class _Counts:
-    """How many frames a video has, and how many of them cannot be used."""
-
-    all: int = 0
-    damaged: int = 0
-    moving: int = 0
-
-
 def video_frames(
     path: Path, selection: FrameSelection, progress: Progress = silent
 ) -> list[VideoFrame]:
@@ -115,72 +105,41 @@ def video_frames(
     InputError
         When PyAV is not installed, or the file is no video, or has no frame in that part.
     """
+    taken: list[tuple[int, float, tuple[int, int]]] = []
+    counts, keyframes, digests = Counts(), list[int](), dict[int, bytes]()
     with _Reader(path) as reader:
-        counts, keyframes = _Counts(), list[int]()
-        candidates = _candidates(reader, selection, counts, keyframes, progress)
-        chosen = sharpest(candidates, selection.interval_seconds, reader.step_seconds)
-        taken = list(itertools.islice(_taken(chosen, counts, reader), _MAX_FRAMES))
+        candidates = _candidates(reader, keyframes, progress)
+        for one in choose(candidates, selection, reader.step_seconds, counts):
+            pixels, shown = reader.pixels(one.payload), one.payload.pts
+            digests[shown] = digest_of(pixels)
+            taken.append((shown, round(one.seconds, 6), (pixels.shape[1], pixels.shape[0])))
+            if len(taken) == _MAX_FRAMES:
+                break
+        counts.damaged = reader.damaged
+        counts.all += reader.damaged
     if not taken:
         raise InputError(f"{path} has no frame that can be read in the part that was chosen")
-    digests = {shown: digest for shown, _, _, digest in taken}
     video = Video(path, tuple(keyframes), digests)
-    note = _note(path, len(taken), counts)
+    note = counts.note(path.name, len(taken))
     return [
         VideoFrame(video, shown, f"{seconds:.6f}.png", seconds, size, note)
-        for shown, seconds, size, _ in taken
+        for shown, seconds, size in taken
     ]
 
 
 def _candidates(
-    reader: _Reader,
-    selection: FrameSelection,
-    counts: _Counts,
-    keyframes: list[int],
-    progress: Progress,
+    reader: _Reader, keyframes: list[int], progress: Progress
 ) -> Iterator[Candidate[Any]]:
-    """Yield the frames of the part that was selected; count all that are decoded."""
-    begin, end = selection.from_seconds or 0.0, selection.to_seconds
+    """Yield the sound frames; note where decoding can begin."""
+    shown = 0
     for frame in reader.frames():
         if frame.key_frame:
             keyframes.append(frame.pts)
         seconds = float((frame.pts - reader.first) * reader.time_base)
-        progress("reading video", min(int(seconds), reader.seconds), reader.seconds)
-        if end is not None and seconds > end:
-            break
-        if seconds < begin:
-            continue
+        if shown < int(seconds) <= reader.seconds:
+            shown = int(seconds)
+            progress("reading video", shown, reader.seconds)
         yield Candidate(seconds, reader.gray(frame), frame)
-        counts.all += 1
-    counts.damaged = reader.damaged
-
-
-def _taken(
-    chosen: Iterator[Candidate[Any]], counts: _Counts, reader: _Reader
-) -> Iterator[tuple[int, float, tuple[int, int], bytes]]:
-    """Yield stamp, seconds, size and digest of the frames of a moving camera."""
-
-    def counted() -> Iterator[Candidate[Any]]:
-        for candidate in chosen:
-            counts.moving += 1
-            yield candidate
-
-    for candidate in moving(counted()):
-        pixels = reader.pixels(candidate.payload)
-        size = pixels.shape[1], pixels.shape[0]
-        yield candidate.payload.pts, round(candidate.seconds, 6), size, digest_of(pixels)
-
-
-def _note(path: Path, taken: int, counts: _Counts) -> str:
-    """Return the line that says which frames were chosen."""
-    parts = [f"{path.name}: {taken} of {counts.all} frames taken"]
-    standing = counts.moving - taken
-    if counts.moving < counts.all:
-        parts.append("the sharpest of each interval (--every)")
-    if standing:
-        parts.append(f"{standing} left out where the camera stands")
-    if counts.damaged:
-        parts.append(f"{counts.damaged} damaged")
-    return ", ".join(parts)
 
 
 class Video:

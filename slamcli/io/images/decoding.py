@@ -17,7 +17,7 @@ from slamcli.io.images.header import Header
 
 MAX_FILE_BYTES = 512 * 1024**2
 # The depths that cameras write into 16 bits.
-_CAMERA_BITS = (8, 10, 12, 14, 16)
+CAMERA_BITS = (8, 10, 12, 14, 16)
 # How libpng makes gray of colours, in 2 ** 15 ths of blue, green and red, without rounding.
 _GRAY_SHARES = 3737, 19234, 9797
 _KINDS = {
@@ -176,7 +176,7 @@ def _deep(data: bytes, kind: int) -> UInt16Array:
 
 def _range_bits(samples: UInt16Array) -> int:
     bits = int(samples.max()).bit_length()
-    return next(depth for depth in _CAMERA_BITS if bits <= depth)
+    return next(depth for depth in CAMERA_BITS if bits <= depth)
 
 
 def _opencv(data: bytes, kind: int) -> UInt8Array | UInt16Array:

@@ -13,6 +13,12 @@ from slamcli.core.errors import MapError
 from slamcli.io.checks import check_number, check_word
 
 _MAX_PATH_CHARACTERS = 32_767
+_SELECTION_LIMITS = {
+    "every_seconds": TIME_STEP,
+    "frames_per_second": HERTZ,
+    "from_seconds": SECONDS_OR_ZERO,
+    "to_seconds": SECONDS_OR_ZERO,
+}
 
 
 def features_header(options: FeatureOptions) -> dict[str, Any]:
@@ -59,7 +65,7 @@ def parse_sources(section: Any) -> tuple[Path, ...]:
 
 def selection_header(selection: FrameSelection) -> dict[str, Any]:
     """Return a selection of frames as JSON has it: what was given."""
-    return {name: value for name, value in asdict(selection).items() if value is not None}
+    return {name: value for name, value in asdict(selection).items() if value not in {None, ""}}
 
 
 def parse_selection(section: Any) -> FrameSelection:
@@ -69,8 +75,11 @@ def parse_selection(section: Any) -> FrameSelection:
     ------
     FieldError, InputError, MapError
     """
-    limits = {field.name: SECONDS_OR_ZERO for field in fields(FrameSelection)}
-    limits |= {"every_seconds": TIME_STEP, "frames_per_second": HERTZ}
-    if not isinstance(section, dict) or not set(section) <= set(limits):
+    if not isinstance(section, dict) or not set(section) <= {*_SELECTION_LIMITS, "topic"}:
         raise MapError("its selection of frames is not one of this version")
-    return FrameSelection(**{k: check_number(v, k, limits[k]) for k, v in section.items()})
+    topic = section.get("topic", "")
+    if not isinstance(topic, str) or len(topic) > _MAX_PATH_CHARACTERS:
+        raise MapError("its selection of frames is not one of this version")
+    numbers = {name: value for name, value in section.items() if name != "topic"}
+    checked = {n: check_number(v, n, _SELECTION_LIMITS[n]) for n, v in numbers.items()}
+    return FrameSelection(**checked, topic=topic)

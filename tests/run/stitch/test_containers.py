@@ -6,6 +6,7 @@ from pathlib import Path
 
 import cv2
 import pytest
+from bag_files import START, BagWriter, write_bag
 from command_line import slam
 from trajectories import compare, read_poses
 from video_files import write_video
@@ -13,7 +14,8 @@ from worlds import CAMERA, make_photographer, take
 
 import slamcli
 from slamcli.core.geometry import Pose2
-from slamcli.io.calibrations import save_calibration
+from slamcli.io.calibrations import load_intrinsics, save_calibration
+from slamcli.io.telemetry import read_compass, read_gps, read_odometry
 from slamcli.simulation import photograph
 
 POSES = [Pose2(0.03 * k, 0.0, 0.05 * k) for k in range(6)]
@@ -35,7 +37,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def stitched(source: Path, output: Path, *options: str) -> Path:
+def stitched(source: Path, output: Path, *options: object) -> Path:
     calibration = source.parent / "calibration.yaml"
     result = slam("stitch", source, "-c", calibration, "-o", output, *options)
     assert result.exit_code == 0, result.output
@@ -44,8 +46,7 @@ def stitched(source: Path, output: Path, *options: str) -> Path:
 
 @pytest.fixture(scope="module")
 def of_files(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    output = tmp_path_factory.mktemp("files") / "map"
-    return stitched(drive / "frames", output, "--frame-rate", "10")
+    return stitched(drive / "frames", tmp_path_factory.mktemp("files") / "map")
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +106,52 @@ def test_a_map_of_a_video_is_extended_by_another(of_video: Path, tmp_path: Path)
     assert placed[-1] is not None
     error = (POSES[0].inverse() @ poses[-1]).inverse() @ placed[-1]
     assert error.translation_length < 0.001
+
+
+@pytest.fixture(scope="module", params=["drive.bag", "drive_mcap"])
+def bag(request: pytest.FixtureRequest, drive: Path) -> Path:
+    pictures = [cv2.imread(str(path)) for path in sorted((drive / "frames").iterdir())]
+
+    def sensors(writer: BagWriter) -> None:
+        for number in range(-5, 70):
+            seconds, along = number / 100, 0.1 * number
+            pose = Pose2(0.03 * along, 0.0, 0.05 * along)
+            writer.odometry("/odom", max(0.0, seconds), pose.x, pose.y, pose.theta)
+        writer.fix(0.0, 52.0, 13.0)
+        writer.imu(0.0, 0.5)
+        writer.lens("/camera/camera_info", CAMERA.size, 300.0)
+        writer.transform("base_link", "gps", 0.3, -0.1, 0.0)
+
+    return write_bag(drive / request.param, pictures, sensors)
+
+
+def test_a_bag_gives_the_map_of_the_folder_extracted_from_it(bag: Path, tmp_path: Path) -> None:
+    files = tmp_path / "files"
+    result = slam("extract", bag, "-o", files)
+    assert result.exit_code == 0, result.output
+    assert "1 readings, for --gps --lever-arm 0.3,-0.1" in result.output
+    lens = load_intrinsics(files / "camera_info.yaml")
+    assert lens.image_size == CAMERA.size
+    (files / "calibration.yaml").write_bytes((bag.parent / "calibration.yaml").read_bytes())
+    of_bag = stitched(bag, tmp_path / "bag_map")
+    of_files = stitched(files / "frames", tmp_path / "files_map")
+    for product in ("poses.csv", "mosaic.png"):
+        assert (of_bag / product).read_bytes() == (of_files / product).read_bytes(), product
+    assert [one.stamp for one in slamcli.load_map(of_bag).estimates] == pytest.approx(
+        [START + n / 10 for n in range(6)]
+    )
+
+
+def test_the_readings_of_a_bag_are_those_of_its_tables(bag: Path, tmp_path: Path) -> None:
+    assert slam("extract", bag, "-o", tmp_path).exit_code == 0
+    ours, theirs = read_odometry(bag), read_odometry(tmp_path / "odometry.csv")
+    assert len(ours) == len(theirs) == 75
+    for one, other in zip(ours, theirs, strict=True):
+        assert one.stamp == other.stamp
+        assert (one.pose.inverse() @ other.pose).translation_length < 1e-6
+    assert read_gps(bag) == read_gps(tmp_path / "gps.csv")
+    assert read_compass(bag)[0].heading_radians == pytest.approx(0.5)
+    assert read_compass(tmp_path / "compass.csv")[0].sigma_radians == pytest.approx(0.1)
 
 
 def test_one_time_step_is_given_once(drive: Path) -> None:
