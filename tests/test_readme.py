@@ -24,7 +24,7 @@ DOCUMENTS = [
     *PAGES,
 ]
 # Of other programs, which the pages name; and one that `slam stitch` is to have.
-OTHER_OPTIONS = {"--nthreads"}
+OTHER_OPTIONS = {"--nthreads", "--once"}
 
 
 def text_of(path: Path) -> str:
