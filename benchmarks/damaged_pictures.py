@@ -103,13 +103,33 @@ def encoders(kind: str) -> dict[str, Encoder]:
             "opencv": opencv(".png"),
             "opencv gray": opencv(".png", gray=True),
         }
+    if kind in PLAIN:
+        return {
+            f"{name} {mode}": encode(mode)
+            for name, encode in PLAIN[kind].items()
+            for mode in ("RGB", "L")
+        }
     return {
-        "pillow plain": pillow("TIFF"),
         "pillow deflate": pillow("TIFF", compression="tiff_adobe_deflate"),
         "pillow lzw": pillow("TIFF", compression="tiff_lzw"),
         "pillow packbits": pillow("TIFF", compression="packbits"),
         "opencv": opencv(".tif"),
     }
+
+
+# Without compression, and so without any check.
+PLAIN: dict[str, dict[str, Callable[[str], Encoder]]] = {
+    "TIFF, not compressed": {
+        "pillow": lambda mode: pillow("TIFF", mode),
+        "opencv": lambda mode: opencv(".tif", cv2.IMWRITE_TIFF_COMPRESSION, 1, gray=mode == "L"),
+    },
+    "BMP": {
+        "pillow": lambda mode: pillow("BMP", mode),
+        "opencv": lambda mode: opencv(".bmp", gray=mode == "L"),
+    },
+    "PNM": {"opencv": lambda mode: opencv(".pnm", gray=mode == "L")},
+}
+KINDS = ("JPEG", "WebP", "PNG", "TIFF", *PLAIN)
 
 
 def floors(folder: Path) -> list[Picture]:
@@ -149,8 +169,32 @@ def plain_floors() -> list[Picture]:
         cv2.line(pictures[-1], start, end, (255, 255, 255), 9)
     pictures.append(np.where(np.indices(SIZE[::-1]).sum(0)[..., None] // 8 % 2, 255, black))
     pictures.append(texture() // 40)
+    for value in (0, 255):
+        pictures += bordered(value)
     pictures.append(rng.integers(0, 256, black.shape, dtype=np.uint8))
     return [np.asarray(picture, np.uint8) for picture in pictures]
+
+
+def bordered(value: int) -> list[Picture]:
+    """Return floors with borders of a gray, level and tilted ones, and with joints of it."""
+    found = []
+    columns = np.arange(SIZE[0])
+    for rise in (0, 0.7, 1.0, 1.5, 3.0, 40.0):
+        edge = columns * rise / SIZE[0]
+        for smooth in (False, True):
+            # The share of each pixel that lies within a joint 30 rows high, or in the lower border.
+            rows = np.arange(SIZE[1])[:, None]
+            joint = np.clip(rows + 1.0 - (200.4 + edge), 0, 1) - np.clip(
+                rows + 1.0 - (230.4 + edge), 0, 1
+            )
+            border = np.clip(rows + 1.0 - (400.4 + edge), 0, 1)
+            for share in (joint, border, np.maximum(border, border[::-1])):
+                inside = (share if smooth else np.round(share))[..., None]
+                across = np.zeros((1, SIZE[0], 1))
+                across[:, 300:306] = 1.0
+                inside = np.maximum(inside, across)
+                found.append(np.round(texture() * (1 - inside) + value * inside).astype(np.uint8))
+    return found
 
 
 def damage(data: bytes, way: str, rng: np.random.Generator) -> bytes:
@@ -219,7 +263,7 @@ def noticed(kind: str, way: str, pictures: list[Picture], each: int, seed: int) 
 
 def good(pictures: list[Picture], count: int) -> Iterator[tuple[str, str]]:
     """Yield the encoder and the reason of each of so many good pictures; empty is right."""
-    makers = [item for kind in ("JPEG", "WebP", "PNG", "TIFF") for item in encoders(kind).items()]
+    makers = [item for kind in KINDS for item in encoders(kind).items()]
     for number in range(count):
         name, encode = makers[number % len(makers)]
         yield name, reason(encode(pictures[number // len(makers) % len(pictures)]))
@@ -319,6 +363,9 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--each", type=int, default=150, help="damaged pictures a row")
+    parser.add_argument(
+        "--kind", choices=("", *KINDS), default="", help="of damaged pictures alone"
+    )
     parser.add_argument("--good", type=int, default=1000, help="good pictures")
     parser.add_argument("--folder", type=Path, default=FRAMES, help="frames to encode")
     arguments = parser.parse_args()
@@ -328,9 +375,11 @@ def main() -> None:
     )
     pictures = floors(arguments.folder)
     seed = 0
-    for kind in ("JPEG", "WebP", "PNG", "TIFF"):
+    for kind in KINDS:
         for way in WAYS:
             seed += 1
+            if arguments.kind not in {"", kind}:
+                continue
             row(noticed(kind, way, pictures, arguments.each, seed))
     alarms = [found for found in good(pictures + plain_floors(), arguments.good) if found[1]]
     print(f"false alarms on {arguments.good} good pictures: {len(alarms)}")
@@ -341,7 +390,9 @@ def main() -> None:
         ("JPEG", opencv(".jpg", cv2.IMWRITE_JPEG_QUALITY, 92), "one bit"),
         ("WebP", opencv(".webp", cv2.IMWRITE_WEBP_QUALITY, 90), "one bit"),
         ("BMP", opencv(".bmp"), "zeroed"),
-        ("TIFF", pillow("TIFF"), "zeroed"),
+        ("BMP", opencv(".bmp"), "half written"),
+        ("TIFF, not compressed", pillow("TIFF"), "zeroed"),
+        ("TIFF, not compressed", pillow("TIFF", "L"), "one bit"),
     ):
         row(placed(kind, encode, way))
     row(["1080p", "as", "bare OpenCV ms", "read ms"])

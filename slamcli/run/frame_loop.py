@@ -35,6 +35,7 @@ def run_mapper(
     files: Sequence[FrameFile],
     session: Session,
     thumbnails: Thumbnails | None = None,
+    before_step: Callable[[PreparedFrame], object] = lambda _prepared: None,
 ) -> Iterator[PreparedFrame]:
     """Pass the frames that a mapper has not seen through it; yield each when it has been.
 
@@ -42,11 +43,14 @@ def run_mapper(
     ----------
     thumbnails : Thumbnails or None
         Takes the frames' thumbnails, where this process reads them.
+    before_step : function
+        Called with each frame when the mapper has seen only those before it.
     """
     first = len(mapper.estimates)
     kept = None if session.scheduler else thumbnails
     work = partial(read_and_prepare, mapper.prepare, thumbnails=kept)
     for done, prepared in enumerate(session.ordered(work, files[first:]), start=first + 1):
+        before_step(prepared)
         mapper.step(prepared)
         session.progress("locating", done, len(files))
         yield prepared

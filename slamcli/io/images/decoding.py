@@ -37,6 +37,8 @@ _HEADERS = {
 _DEAD_STRETCHES = {
     formats.WEBP: webp.check_dead_stretch,
     formats.TIFF: tiff.check_dead_stretch,
+    formats.BMP: plain.check_dead_bmp,
+    formats.PNM: plain.check_dead_pnm,
 }
 
 

@@ -4,48 +4,104 @@ from __future__ import annotations
 
 import re
 import struct
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from slamcli.core.errors import FrameError
 from slamcli.io.images.header import Header, check_length
+from slamcli.io.images.plain_rows import check_dead_rows, plain_rows
 
 # Possessive, or spaces without a number take for ever.
 _PNM_NUMBER = rb"(?:\s|#[^\n]*\n)++(\d{1,9})"
 _PNM_SIZE = re.compile(rb"P[1-6]" + _PNM_NUMBER * 2)
 _PNM_SIZE_AND_RANGE = re.compile(rb"P[1-6]" + _PNM_NUMBER * 3)
 _BITMAP, _BINARY = b"14", b"456"
+# Of a BMP: without any, and with masks of its channels. Its pixels are whole bytes in
+_UNCOMPRESSED, _WHOLE_BYTES = frozenset({0, 3}), frozenset({8, 16, 24, 32})
 _MAX_GIF_FRAMES = 10_000
 
 
-def read_bmp_header(data: bytes) -> Header:
-    """Return what a BMP declares; raises FrameError when it is cut."""
+class _BmpLayout(NamedTuple):
+    """Where the pixels of a BMP lie, bytes; its height is negative when the top row is first."""
+
+    offset: int
+    width: int
+    height: int
+    bits: int
+    compression: int
+
+    @property
+    def stride(self) -> int:
+        """Bytes from row to row."""
+        return (self.width * self.bits + 31) // 32 * 4
+
+
+def _bmp_layout(data: bytes) -> _BmpLayout:
     check_length(data, 34)
     offset, size = struct.unpack_from("<II", data, 10)
     if size == 12:
         width, height, _, bits = struct.unpack_from("<HHHH", data, 18)
-        compression = 0
-    else:
-        width, height, _, bits, compression = struct.unpack_from("<iiHHI", data, 18)
-    header = Header(width, abs(height))
-    if not compression:
-        check_length(data, offset + (width * bits + 31) // 32 * 4 * abs(height))
+        return _BmpLayout(offset, width, height, bits, 0)
+    width, height, _, bits, compression = struct.unpack_from("<iiHHI", data, 18)
+    return _BmpLayout(offset, width, height, bits, compression)
+
+
+def read_bmp_header(data: bytes) -> Header:
+    """Return what a BMP declares; raises FrameError when it is cut."""
+    layout = _bmp_layout(data)
+    header = Header(layout.width, abs(layout.height))
+    if layout.compression in _UNCOMPRESSED:
+        check_length(data, layout.offset + layout.stride * header.height)
     return header
+
+
+def check_dead_bmp(data: bytes) -> None:
+    """Raise FrameError when a stretch of an uncompressed BMP is dead."""
+    layout = _bmp_layout(data)
+    if layout.compression in _UNCOMPRESSED and layout.bits in _WHOLE_BYTES:
+        shape, size = (abs(layout.height), layout.width), layout.bits // 8
+        check_dead_rows(plain_rows(data, layout.offset, layout.stride, shape, size))
 
 
 def read_pnm_header(data: bytes) -> Header:
     """Return what a PBM, PGM or PPM declares; raises FrameError when it is cut."""
+    layout = _pnm_layout(data)
+    header = Header(layout.width, layout.height, layout.bits)
+    if layout.is_binary:
+        check_length(data, layout.offset + layout.stride * layout.height)
+    return header
+
+
+def check_dead_pnm(data: bytes) -> None:
+    """Raise FrameError when a stretch of a PNM is dead."""
+    layout = _pnm_layout(data)
+    if not layout.is_binary and b"\0" in data:
+        raise FrameError("damaged: a stretch of the file is zero")
+    if layout.is_binary and layout.bits > 1:
+        shape, size = (layout.height, layout.width), layout.stride // layout.width
+        check_dead_rows(plain_rows(data, layout.offset, layout.stride, shape, size))
+
+
+class _PnmLayout(NamedTuple):
+    """Where the pixels of a PBM, PGM or PPM lie; without a meaning where they are texts."""
+
+    offset: int
+    width: int
+    height: int
+    bits: int
+    stride: int
+    is_binary: bool
+
+
+def _pnm_layout(data: bytes) -> _PnmLayout:
     bitmap = data[1] in _BITMAP
     match = (_PNM_SIZE if bitmap else _PNM_SIZE_AND_RANGE).match(data[:4096])
     if match is None:
         raise FrameError("damaged: the PNM has no size in its header")
     width, height = int(match[1]), int(match[2])
     bits = 1 if bitmap else int(match[3]).bit_length()
-    header = Header(width, height, bits)
-    if data[1] in _BINARY:
-        samples = 3 if data[1] == ord("6") else 1
-        row = (width + 7) // 8 if bitmap else width * samples * (2 if bits > 8 else 1)
-        check_length(data, match.end() + 1 + row * height)
-    return header
+    samples = 3 if data[1] == ord("6") else 1
+    stride = (width + 7) // 8 if bitmap else width * samples * (2 if bits > 8 else 1)
+    return _PnmLayout(match.end() + 1, width, height, bits, stride, data[1] in _BINARY)
 
 
 def read_gif_header(data: bytes) -> Header:

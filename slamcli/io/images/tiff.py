@@ -5,14 +5,16 @@ from __future__ import annotations
 import io
 import struct
 import zlib
+from itertools import pairwise
 from typing import BinaryIO
 
 from slamcli.core.errors import FrameError
 from slamcli.io.images.header import Header, truncated
+from slamcli.io.images.plain_rows import check_dead_rows, plain_rows
 
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _WIDTH, _HEIGHT, _BITS, _ORIENTATION = 256, 257, 258, 274
-_COMPRESSION, _SAMPLES, _TILE_WIDTH, _TILE_HEIGHT = 259, 277, 322, 323
+_COMPRESSION, _SAMPLES, _PLANES, _TILE_WIDTH, _TILE_HEIGHT = 259, 277, 284, 322, 323
 _OFFSETS, _COUNTS = (273, 324), (279, 325)  # of strips, of tiles
 _FORMATS = {1: "B", 3: "H", 4: "I", 16: "Q"}
 _MAX_PAGES = 10_000
@@ -25,10 +27,13 @@ _READ_METHODS = frozenset({_PLAIN, _LZW, _JPEG, _PACKBITS, *_DEFLATE})
 # Zeros, and what erased memory reads as.
 _SUSPECT = (b"\0" * 32, b"\xff" * 32)
 _SPARE_BYTES = 65_536
+# Channels one after the other.
+_SEPARATE = 2
 
 
 _WANTED = {
-    *(_WIDTH, _HEIGHT, _BITS, _ORIENTATION, _COMPRESSION, _SAMPLES, _TILE_WIDTH, _TILE_HEIGHT),
+    *(_WIDTH, _HEIGHT, _BITS, _ORIENTATION, _COMPRESSION, _SAMPLES, _PLANES),
+    *(_TILE_WIDTH, _TILE_HEIGHT),
     *_OFFSETS,
     *_COUNTS,
 }
@@ -96,13 +101,15 @@ def read_header(data: bytes) -> Header:
 
 
 def check_dead_stretch(data: bytes) -> None:
-    """Raise FrameError when a stretch of equal bytes lies in compressed data that cannot have one.
+    """Raise FrameError when a stretch of equal bytes is not what the picture was coded as.
 
     Neither LZW nor PackBits writes the same code three times in a row; deflate has a checksum. The
     decoder goes on with what a damaged strip gives, and says nothing.
     """
     tags = _first_page(data)
     method = _first(tags, _COMPRESSION)
+    if method == _PLAIN:
+        _check_dead_rows(data, tags)
     if method not in {_LZW, _PACKBITS, *_DEFLATE}:
         return
     # No strip is larger than the picture; the tiles at its border may be.
@@ -114,6 +121,26 @@ def check_dead_stretch(data: bytes) -> None:
             continue
         if method not in _DEFLATE or not _inflates(part, limit_bytes):
             raise FrameError("damaged: a stretch of the file is zero")
+
+
+def _check_dead_rows(data: bytes, tags: dict[int, tuple[int, ...]]) -> None:
+    """Raise FrameError when a stretch of pixels without compression is dead.
+
+    Of pictures in strips that follow one another, with whole bytes for each sample.
+    """
+    parts, width, height = _parts(tags), tags[_WIDTH][0], tags[_HEIGHT][0]
+    bits, samples = max(tags.get(_BITS) or (1,)), _first(tags, _SAMPLES)
+    offset = parts[0][0] if parts else 0
+    size = samples * bits // 8
+    in_order = all(a + count == b for (a, count), (b, _) in pairwise(parts))
+    is_whole = sum(count for _, count in parts) == width * height * size
+    if bits % 8 == 0 and in_order and is_whole and not tags.get(_TILE_WIDTH):
+        # Where channels lie one after the other, as pictures of their own.
+        planes = samples if _first(tags, _PLANES) == _SEPARATE else 1
+        rows = plain_rows(
+            data, offset, width * size // planes, (planes * height, width), size // planes
+        )
+        check_dead_rows(rows)
 
 
 def _first_page(data: bytes) -> dict[int, tuple[int, ...]]:

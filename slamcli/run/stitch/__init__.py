@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from slamcli.core.errors import InputError
+from slamcli.core.records import PreparedFrame
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.checkpoints import Checkpoint
 from slamcli.io.frames import FrameFile, of_camera
@@ -200,8 +201,8 @@ def _survey_frames(
 def _track_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> LocatedDrive:
     """Pass the frames through a mapper; those that a resumed one has seen are done.
 
-    The state is saved now and then, until a frame vanishes: a resumed run finds it again. From here
-    on each file must keep the content that was read.
+    The state is saved now and then, the last time when a frame vanishes: a resumed run finds it
+    again. From here on each file must keep the content that was read.
     """
     thumbnails, vanished = Thumbnails(), list[str]()
     files, mapper = list(drive.inputs.files), drive.mapper
@@ -230,11 +231,18 @@ def _locate(
     """Pass the frames through the mapper; note each file's digest, and the names that vanished."""
     mapper, schedule = drive.mapper, resume.SaveSchedule()
     missing = {file.index for file in files if not file.path.exists()}
-    for prepared in run_mapper(mapper, files, session, thumbnails):
-        done, file = prepared.index + 1, files[prepared.index]
-        files[prepared.index] = replace(file, digest=prepared.digest)
+
+    def note_vanished(prepared: PreparedFrame) -> None:
+        file = files[prepared.index]
         if not prepared.digest and file.index not in missing and not file.path.exists():
+            # Of the frames before it: a resumed run goes on with this one.
+            if not vanished and mapper.estimates:
+                resume.save(mapper, files, checkpoint)
             vanished.append(file.name)
+
+    for prepared in run_mapper(mapper, files, session, thumbnails, note_vanished):
+        done = prepared.index + 1
+        files[prepared.index] = replace(files[prepared.index], digest=prepared.digest)
         if drive.options.debug:
             draw_trials(mapper.registrations, checkpoint.drawings)
         stop = session.interruption.stops_here()

@@ -120,11 +120,9 @@ def test_a_run_whose_frames_change_goes_on_when_they_are_back(
     assert contents(cut) == contents(tmp_path / "whole")
 
 
-def test_a_run_whose_frames_vanish_keeps_what_it_located_before(
-    frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_run_whose_frames_vanish_in_its_first_seconds_keeps_what_it_located_before(
+    frames: Path, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(resume, "_SAVE_SECONDS", 0.0)
-    monkeypatch.setattr(resume, "_MAX_SAVE_SHARE", 1e9)
     stitched(frames, tmp_path / "whole", Session())
     kept, cut = tmp_path / "kept", tmp_path / "cut"
     shutil.copytree(frames, kept)
