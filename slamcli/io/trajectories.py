@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -115,8 +116,22 @@ def _stamps(table: Table, placed: BoolArray) -> Float64Array | None:
 def _names(table: Table, placed: BoolArray) -> tuple[str, ...] | None:
     if not table.has(_NAMES):
         return None
-    names = tuple(np.array(table.words(_NAMES), dtype=object)[placed])
-    return names if all(names) else None
+    names = np.array(_distinct(table.words(_NAMES)), dtype=object)[placed]
+    return tuple(names) if all(names) else None
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    """Return names with their place among equal ones, as frames of several folders have them.
+
+    Those of two files then match in order where both have equally many, and else not at all.
+    """
+    counts, seen = Counter(names), Counter[str]()
+    distinct = []
+    for name in names:
+        seen[name] += 1
+        is_alone = counts[name] == 1 or not name
+        distinct.append(name if is_alone else f"{name} ({seen[name]} of {counts[name]})")
+    return distinct
 
 
 def _parse_rows(path: Path, lines: list[tuple[int, str]], width: int) -> Float64Array:

@@ -104,6 +104,32 @@ def test_fragments_are_aligned_each_for_itself() -> None:
     assert found.whole.relative.largest == pytest.approx(second.relative.largest)
 
 
+def folders(path: Path, places: list[str], per_folder: int = 3) -> Path:
+    """Write poses of folders whose frames have the same names; empty for one not placed."""
+    rows = [
+        f"000{k % per_folder}.png,{place},{place and 0},{place and 0.1}"
+        for k, place in enumerate(places)
+    ]
+    path.write_text("\n".join(["frame,x,y,heading", *rows]) + "\n")
+    return path
+
+
+def test_frames_of_two_folders_with_the_same_names_are_matched_in_order(tmp_path: Path) -> None:
+    truth = folders(tmp_path / "truth.csv", ["0", "1", "2", "3", "4", "5"])
+    poses = folders(tmp_path / "poses.csv", ["0", "", "2", "3", "4", "5.5"])
+    result = run(poses, truth, "--json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.output)
+    assert found["matched"] == 5
+    # One is half a metre off, the others share that by the alignment.
+    assert found["whole"]["absolute"]["largest"] == pytest.approx(0.4)
+    alone = folders(tmp_path / "alone.csv", ["0", "1", "2"])
+    result = run(alone, truth)
+    assert result.exit_code == 1
+    assert "no frame name in common: the poses begin with 0000.png, the truth with" in result.output
+    assert "0000.png (1 of 2)" in result.output
+
+
 def test_poses_are_matched_by_stamps_else_names_else_order() -> None:
     poses = lap(6)
     stamps = np.arange(6.0)

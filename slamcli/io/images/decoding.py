@@ -193,7 +193,7 @@ def _opencv(data: bytes, kind: int) -> UInt8Array | UInt16Array:
 
 
 def _transparency(data: bytes) -> UInt8Array | None:
-    """Return the alpha channel of a PNG as it is stored, if it hides something."""
+    """Return the alpha channel as it is stored, of a TIFF as it is to be seen, if it hides some."""
     decoded = _opencv(data, cv2.IMREAD_UNCHANGED)
     if decoded.ndim != 3 or decoded.shape[2] != 4:
         return None

@@ -35,7 +35,7 @@ def read_header(data: bytes) -> Header:
     if data[12:16] != b"IHDR":
         raise FrameError("damaged: the PNG does not begin with its header")
     width, height, bits, colour = struct.unpack_from(">IIBB", data, 16)
-    pixel_bytes, turn = 0, 1
+    pixel_bytes, turn, has_alpha = 0, 1, colour in _ALPHA
     place = len(SIGNATURE)
     while True:
         check_length(data, place + 12)
@@ -50,10 +50,12 @@ def read_header(data: bytes) -> Header:
             pixel_bytes += length
         elif kind == b"eXIf":
             turn = orientation(data[place + 8 : end - 4])
+        elif kind == b"tRNS":  # of some colours
+            has_alpha = True
         elif kind == b"IEND":
             break
         place = end
-    header = Header(width, height, bits, turn, colour in _ALPHA)
+    header = Header(width, height, bits, turn, has_alpha)
     row_bytes = (width * bits * _SAMPLES.get(colour, 1) + 7) // 8
     if row_bytes * height > _MAX_COMPRESSION * pixel_bytes:
         raise truncated()

@@ -29,11 +29,13 @@ _SUSPECT = (b"\0" * 32, b"\xff" * 32)
 _SPARE_BYTES = 65_536
 # Channels one after the other.
 _SEPARATE = 2
+# A channel beyond the colours that says what is transparent, in two ways.
+_EXTRA_SAMPLES, _TRANSPARENT = 338, frozenset({1, 2})
 
 
 _WANTED = {
     *(_WIDTH, _HEIGHT, _BITS, _ORIENTATION, _COMPRESSION, _SAMPLES, _PLANES),
-    *(_TILE_WIDTH, _TILE_HEIGHT),
+    *(_TILE_WIDTH, _TILE_HEIGHT, _EXTRA_SAMPLES),
     *_OFFSETS,
     *_COUNTS,
 }
@@ -94,7 +96,9 @@ def read_header(data: bytes) -> Header:
     if tags.get(_TILE_WIDTH) and tags.get(_TILE_HEIGHT):
         Header(tags[_TILE_WIDTH][0], tags[_TILE_HEIGHT][0], bits)  # the same limits
     turn = _first(tags, _ORIENTATION)
-    header = Header(tags[_WIDTH][0], tags[_HEIGHT][0], bits, turn if 1 <= turn <= 8 else 1)
+    turn = turn if 1 <= turn <= 8 else 1
+    has_alpha = not _TRANSPARENT.isdisjoint(tags.get(_EXTRA_SAMPLES, ()))
+    header = Header(tags[_WIDTH][0], tags[_HEIGHT][0], bits, turn, has_alpha)
     if any(offset + count > len(data) for offset, count in _parts(tags)):
         raise truncated()
     return header

@@ -20,6 +20,8 @@ from slamcli.io.images.exif import EXIF_START, orientation
 from slamcli.io.images.header import Header, check_length
 
 _PICTURES = frozenset({b"VP8X", b"VP8L", b"VP8 "})
+# The byte of a chunk that says whether the picture is transparent, and the bit of it.
+_ALPHA, _ALPHA_FLAG = {b"VP8X": 0, b"VP8L": 4}, 0x10
 # Zeros, and what erased memory reads as. Flat pictures have such stretches too.
 _SUSPECT = (b"\0" * 32, b"\xff" * 32)
 # A good file cannot lose two [benchmarks/damaged_pictures.py]; the rest is margin.
@@ -39,15 +41,17 @@ def read_header(data: bytes) -> Header:
     check_length(data, struct.unpack_from("<I", data, 4)[0] + 8)
     # Of an extended file the canvas comes first, and the picture that it stands for is bounded too.
     headers: list[Header] = []
-    turn = 1
+    turn, has_alpha = 1, False
     for kind, place, end in _chunks(data):
         if kind in _PICTURES:
-            headers.append(Header(*_size(kind, data[place + 8 : place + 18])))
+            body = data[place + 8 : place + 18]
+            headers.append(Header(*_size(kind, body)))
+            has_alpha |= kind in _ALPHA and bool(body[_ALPHA[kind]] & _ALPHA_FLAG)
         elif kind == b"EXIF":
             turn = orientation(data[place + 8 : end].removeprefix(EXIF_START))
     if not headers:
         raise FrameError("damaged: a WebP without a picture in it")
-    return replace(headers[0], orientation=turn)
+    return replace(headers[0], orientation=turn, has_alpha=has_alpha)
 
 
 def _size(kind: bytes, body: bytes) -> tuple[int, int]:

@@ -191,13 +191,47 @@ def test_a_picture_of_another_size_is_not_decoded(
             read(of_camera(list_frames([tmp_path]), (640, 480))[0])
 
 
-def test_a_turned_picture_turns_its_mask(tmp_path: Path) -> None:
+TURNS = {
+    1: lambda stored: stored,
+    2: np.fliplr,
+    3: lambda stored: np.rot90(stored, 2),
+    4: np.flipud,
+    5: lambda stored: np.swapaxes(stored, 0, 1),
+    6: lambda stored: np.rot90(stored, -1),
+    7: lambda stored: np.rot90(np.swapaxes(stored, 0, 1), 2),
+    8: np.rot90,
+}
+
+
+def with_alpha(kind: str, alpha: np.ndarray) -> tuple[Image.Image, dict[str, object]]:
+    """Return a picture with transparent pixels, and how it is saved."""
+    if kind == "palette":
+        return Image.fromarray(np.where(alpha, np.uint8(1), np.uint8(0)), "P"), {"transparency": 0}
+    colours = Image.fromarray(np.dstack([PICTURE, alpha]))
+    return colours.convert("LA" if kind == "gray" else "RGBA"), {"lossless": True}
+
+
+@pytest.mark.parametrize("code", TURNS)
+@pytest.mark.parametrize(
+    ("suffix", "kind"),
+    [("png", "colour"), ("png", "gray"), ("png", "palette"), ("webp", "colour"), ("tif", "colour")],
+)
+def test_a_turned_picture_turns_its_mask(tmp_path: Path, suffix: str, kind: str, code: int) -> None:
     exif = Image.Exif()
-    exif[0x0112] = 6
+    exif[0x0112] = code
     alpha = np.full((48, 64), 255, np.uint8)
-    alpha[:, :10] = 0
-    Image.fromarray(np.dstack([PICTURE, alpha])).save(tmp_path / "0.png", exif=exif)
-    frame = read_frame(list_frames([tmp_path])[0])
-    assert frame.mask is not None
-    assert frame.image.shape[:2] == frame.mask.shape == (64, 48)
-    np.testing.assert_array_equal(frame.mask, np.rot90(alpha, -1))
+    alpha[:20, :10] = 0
+    image, options = with_alpha(kind, alpha)
+    if kind == "palette":
+        image.putpalette(bytes(range(6)))
+    image.save(tmp_path / f"0.{suffix}", exif=exif, **options)
+    expected = TURNS[code](alpha)
+    for gray in (False, True):
+        frame = read_frame(list_frames([tmp_path])[0], gray=gray)
+        assert frame.mask is not None
+        np.testing.assert_array_equal(frame.mask, expected)
+        assert frame.image.shape[:2] == expected.shape
+    if kind == "colour":
+        seen = read_frame(list_frames([tmp_path])[0]).image
+        pixels = TURNS[code](PICTURE)[..., ::-1]
+        np.testing.assert_array_equal(seen[expected > 0], pixels[expected > 0])
