@@ -31,9 +31,12 @@ test: $(VENV)/installed-dev lint
 test-all: test
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m slow
 
-# Mutated files of every format, each read in a process of bounded time and memory.
+# Mutated files of every format, and extreme values of every option and field: each in a process of
+# bounded time and memory.
+BOUNDARIES ?= boundaries
 fuzz: $(VENV)/installed-dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/robustness/fuzz.py --count $(COUNT)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/robustness/boundaries.py $(BOUNDARIES)
 
 # Kills, full disks, vanished frames: minutes; as root, whose disks of some megabytes are mounted.
 FAULTS ?= faults

@@ -24,6 +24,7 @@ from PIL import Image
 
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Pose2
+from slamcli.core.records import Frame
 from slamcli.io.images.decoding import Reading, decode
 from slamcli.mapping.mapper import Mapper
 from slamcli.simulation import floors as floors_of_simulation
@@ -347,8 +348,8 @@ def unnoticed(data: bytes, way: str, rng: np.random.Generator) -> bytes | None:
 def located(photographer: photograph.Photographer, files: list[bytes]) -> list[Pose2 | None]:
     """Return the poses of a drive."""
     mapper = Mapper(photographer.calibration)
-    for data in files:
-        mapper.update(decode(data, Reading())[0])
+    for number, data in enumerate(files):
+        mapper.update(Frame(number, str(number), None, *decode(data, Reading())))
     return [estimate.map_from_robot for estimate in mapper.finish()]
 
 

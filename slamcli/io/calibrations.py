@@ -135,7 +135,18 @@ def load_intrinsics(path: str | Path) -> Intrinsics:
 def save_calibration(
     path: Path, calibration: Calibration, origin: CalibrationSource | None = None
 ) -> None:
-    """Write a calibration whole or not at all; `load_calibration` returns the same numbers."""
+    """Write a calibration whole or not at all; `load_calibration` returns the same numbers.
+
+    Raises
+    ------
+    CalibrationError
+        When its numbers are none that `load_calibration` would accept.
+    OutputError
+    """
+    try:
+        calibration_codec.from_dict(calibration_codec.to_dict(calibration))
+    except FieldError as error:
+        raise _named(error, path) from error
     write_text(path, calibration_text(calibration, origin))
 
 

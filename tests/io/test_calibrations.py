@@ -187,3 +187,13 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 def test_the_samples_load(name: str) -> None:
     calibration = load_calibration(str(SAMPLES / name))
     assert seen_floor(calibration).shape[1] == 2
+
+
+@pytest.mark.parametrize("height", [9e-7, 2e7])
+def test_numbers_that_could_not_be_read_again_are_not_written(
+    tmp_path: Path, height: float
+) -> None:
+    path = tmp_path / "calibration.yaml"
+    with pytest.raises(CalibrationError, match=r"ground_plane.height_metres is .* a number from"):
+        save_calibration(path, example(height_metres=height))
+    assert not path.exists()

@@ -14,6 +14,7 @@ from slamcli.core.errors import FrameError, other_size
 from slamcli.io.images import formats, jpeg, plain, png, tiff, webp
 from slamcli.io.images.exif import turn
 from slamcli.io.images.header import Header
+from slamcli.io.images.plain_rows import check_dead_rows, find_bars
 
 MAX_FILE_BYTES = 512 * 1024**2
 # The depths that cameras write into 16 bits.
@@ -37,8 +38,11 @@ _HEADERS = {
 _DEAD_STRETCHES = {
     formats.WEBP: webp.check_dead_stretch,
     formats.TIFF: tiff.check_dead_stretch,
-    formats.BMP: plain.check_dead_bmp,
-    formats.PNM: plain.check_dead_pnm,
+}
+_PLAIN_ROWS = {
+    formats.BMP: plain.bmp_rows,
+    formats.PNM: plain.pnm_rows,
+    formats.TIFF: tiff.tiff_rows,
 }
 
 
@@ -100,11 +104,38 @@ def decode(data: bytes, reading: Reading) -> tuple[UInt8Array, UInt8Array | None
     _check_size(header, reading)
     if kind in _DEAD_STRETCHES:
         _DEAD_STRETCHES[kind](data)
+    bars = _bars(kind, data, header)
     # OpenCV turns every TIFF, and no other file here.
     code = 1 if kind == formats.TIFF else header.orientation
     mask = _transparency(data) if header.has_alpha else None
     image = turn(_decoded(kind, data, header, reading), code)
-    return image, None if mask is None else turn(mask, code)
+    mask = None if mask is None else turn(mask, code)
+    bars = None if bars is None else turn(bars, header.orientation)
+    if mask is None or bars is None:
+        return image, bars if mask is None else mask
+    return image, np.minimum(mask, bars)
+
+
+def _bars(kind: str, data: bytes, header: Header) -> UInt8Array | None:
+    """Return a mask, as stored, without the bars across a picture without compression, if any.
+
+    Raises
+    ------
+    FrameError
+        When a stretch of it is dead.
+    """
+    plain_of = _PLAIN_ROWS.get(kind)
+    found = None if plain_of is None else plain_of(data)
+    if found is None:
+        return None
+    check_dead_rows(found)
+    bars = find_bars(found)
+    if not bars.any() or len(bars) != header.height:
+        return None
+    if kind == formats.BMP and plain.is_bottom_up(data):
+        bars = bars[::-1]
+    rows = np.where(bars, np.uint8(0), np.uint8(255))
+    return np.repeat(rows[:, None], header.width, axis=1)
 
 
 def from_pixels(pixels: UInt8Array, reading: Reading) -> UInt8Array:

@@ -8,7 +8,7 @@ from typing import BinaryIO, NamedTuple
 
 from slamcli.core.errors import FrameError
 from slamcli.io.images.header import Header, check_length
-from slamcli.io.images.plain_rows import check_dead_rows, plain_rows
+from slamcli.io.images.plain_rows import PlainRows, plain_rows
 
 # Possessive, or spaces without a number take for ever.
 _PNM_NUMBER = rb"(?:\s|#[^\n]*\n)++(\d{1,9})"
@@ -54,12 +54,18 @@ def read_bmp_header(data: bytes) -> Header:
     return header
 
 
-def check_dead_bmp(data: bytes) -> None:
-    """Raise FrameError when a stretch of an uncompressed BMP is dead."""
+def bmp_rows(data: bytes) -> PlainRows | None:
+    """Return the rows of a BMP, from the top; None when they are compressed, or of less a pixel."""
     layout = _bmp_layout(data)
-    if layout.compression in _UNCOMPRESSED and layout.bits in _WHOLE_BYTES:
-        shape, size = (abs(layout.height), layout.width), layout.bits // 8
-        check_dead_rows(plain_rows(data, layout.offset, layout.stride, shape, size))
+    if layout.compression not in _UNCOMPRESSED or layout.bits not in _WHOLE_BYTES:
+        return None
+    shape = abs(layout.height), layout.width
+    return plain_rows(data, layout.offset, layout.stride, shape, layout.bits // 8)
+
+
+def is_bottom_up(data: bytes) -> bool:
+    """Return whether the first row of a BMP is its lowest."""
+    return _bmp_layout(data).height > 0
 
 
 def read_pnm_header(data: bytes) -> Header:
@@ -71,14 +77,15 @@ def read_pnm_header(data: bytes) -> Header:
     return header
 
 
-def check_dead_pnm(data: bytes) -> None:
-    """Raise FrameError when a stretch of a PNM is dead."""
+def pnm_rows(data: bytes) -> PlainRows | None:
+    """Return the rows of a PGM or PPM; None of texts and bitmaps. Raises FrameError."""
     layout = _pnm_layout(data)
     if not layout.is_binary and b"\0" in data:
         raise FrameError("damaged: a stretch of the file is zero")
-    if layout.is_binary and layout.bits > 1:
-        shape, size = (layout.height, layout.width), layout.stride // layout.width
-        check_dead_rows(plain_rows(data, layout.offset, layout.stride, shape, size))
+    if not layout.is_binary or layout.bits == 1:
+        return None
+    shape, size = (layout.height, layout.width), layout.stride // layout.width
+    return plain_rows(data, layout.offset, layout.stride, shape, size)
 
 
 class _PnmLayout(NamedTuple):

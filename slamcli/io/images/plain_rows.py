@@ -5,6 +5,8 @@ row: its border is a staircase of two steps, a row apart, as wide as the picture
 pixels all along it. A black border, a black floor or a saturated one has none; a thin black line
 that is nearly level may have one, beside other black pixels. Then the stretch must also begin or
 end at a block of a disk or within a pixel.
+
+One that begins and ends with a row looks like a bar of a letterbox, and neither is floor.
 """
 
 from __future__ import annotations
@@ -23,8 +25,8 @@ _DEAD = {0: "zero", 255: "erased (bytes of ones)"}
 _SAMPLE_BYTES = 101
 # What is dead has at least so many whole rows.
 _MIN_ROWS = 2
-# Each step of the staircase is at least this share of a row.
-_MIN_STEP_SHARE = 0.02
+# Each step of the staircase is at least this share of a row, and a pixel.
+_MIN_STEP_SHARE = 0.005
 # Levels by which a pixel at the border differs clearly, and the share of them that must.
 # [guarded by benchmarks/damaged_pictures.py]
 _MIN_LEVELS, _MIN_CLEAR_SHARE = 4, 0.9
@@ -87,6 +89,18 @@ def check_dead_rows(plain: PlainRows) -> None:
                     raise FrameError(f"damaged: a stretch of the file is {word}")
 
 
+def find_bars(plain: PlainRows) -> BoolArray:
+    """Return (H,): the rows of bars of zeros or ones across the picture, clearly bordered."""
+    bars = np.zeros(len(plain.rows), np.bool_)
+    for value in _DEAD:
+        for stretch in _stretches(plain.rows, value):
+            found = _borders(plain, stretch)
+            if found and all(border.is_level(value) for border in found):
+                # Also the rows that belong to it in part.
+                bars[max(stretch.first - 1, 0) : stretch.end + 1] = True
+    return bars
+
+
 def _stretches(rows: UInt8Array, value: int) -> Iterator[_Stretch]:
     """Yield the stretches of a value, with their whole rows."""
     suspect = np.flatnonzero((rows[:, ::_SAMPLE_BYTES] == value).all(axis=1))
@@ -135,15 +149,21 @@ class _Border:
     def is_staircase(self, value: int) -> bool:
         """Return whether the border has two steps, with clearly other pixels along both."""
         dead, width = self._dead_bytes(value), len(self.inner)
-        if min(dead, width - dead) < _MIN_STEP_SHARE * width:
-            return False
         size = self.plain.pixel_bytes
-        beside = [_levels(self.inner[-(-dead // size) * size :], size, value)]
+        if min(dead, width - dead) < max(size, _MIN_STEP_SHARE * width):
+            return False
+        beside = [self.inner[-(-dead // size) * size :]]
         if self.outer is not None:
-            beside.append(_levels(self.outer[: dead // size * size], size, value))
-        return all(
-            np.mean(levels.max(axis=1) >= _MIN_LEVELS) >= _MIN_CLEAR_SHARE for levels in beside
-        )
+            beside.append(self.outer[: dead // size * size])
+        return all(_is_clear(pixels, size, value) for pixels in beside)
+
+    def is_level(self, value: int) -> bool:
+        """Return whether clearly other pixels lie along the whole border, without a step."""
+        dead, size = self._dead_bytes(value), self.plain.pixel_bytes
+        beside = self.inner[-(-dead // size) * size :]
+        if 2 * dead > len(self.inner) and self.outer is not None:
+            beside = self.outer
+        return _is_clear(beside, size, value)
 
     def has_mark(self, value: int) -> bool:
         """Return whether the stretch ends at a block of a disk, or within a pixel."""
@@ -157,6 +177,12 @@ class _Border:
 
     def _dead_bytes(self, value: int) -> int:
         return int(np.argmax(self.inner != value))
+
+
+def _is_clear(pixels: UInt8Array, pixel_bytes: int, value: int) -> bool:
+    """Return whether pixels differ clearly from a value, nearly all of them."""
+    levels = _levels(pixels, pixel_bytes, value)
+    return bool(np.mean(levels.max(axis=1) >= _MIN_LEVELS) >= _MIN_CLEAR_SHARE)
 
 
 def _levels(row: UInt8Array, pixel_bytes: int, value: int) -> UInt8Array:

@@ -10,7 +10,7 @@ from typing import BinaryIO
 
 from slamcli.core.errors import FrameError
 from slamcli.io.images.header import Header, truncated
-from slamcli.io.images.plain_rows import check_dead_rows, plain_rows
+from slamcli.io.images.plain_rows import PlainRows, plain_rows
 
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _WIDTH, _HEIGHT, _BITS, _ORIENTATION = 256, 257, 258, 274
@@ -105,15 +105,13 @@ def read_header(data: bytes) -> Header:
 
 
 def check_dead_stretch(data: bytes) -> None:
-    """Raise FrameError when a stretch of equal bytes is not what the picture was coded as.
+    """Raise FrameError when a stretch of equal bytes lies in compressed data that cannot have one.
 
     Neither LZW nor PackBits writes the same code three times in a row; deflate has a checksum. The
     decoder goes on with what a damaged strip gives, and says nothing.
     """
     tags = _first_page(data)
     method = _first(tags, _COMPRESSION)
-    if method == _PLAIN:
-        _check_dead_rows(data, tags)
     if method not in {_LZW, _PACKBITS, *_DEFLATE}:
         return
     # No strip is larger than the picture; the tiles at its border may be.
@@ -127,24 +125,23 @@ def check_dead_stretch(data: bytes) -> None:
             raise FrameError("damaged: a stretch of the file is zero")
 
 
-def _check_dead_rows(data: bytes, tags: dict[int, tuple[int, ...]]) -> None:
-    """Raise FrameError when a stretch of pixels without compression is dead.
+def tiff_rows(data: bytes) -> PlainRows | None:
+    """Return the rows of a TIFF without compression, in strips that follow one another, else None.
 
-    Of pictures in strips that follow one another, with whole bytes for each sample.
+    Where channels lie one after the other, as pictures below one another.
     """
+    tags = _first_page(data)
     parts, width, height = _parts(tags), tags[_WIDTH][0], tags[_HEIGHT][0]
     bits, samples = max(tags.get(_BITS) or (1,)), _first(tags, _SAMPLES)
-    offset = parts[0][0] if parts else 0
     size = samples * bits // 8
     in_order = all(a + count == b for (a, count), (b, _) in pairwise(parts))
     is_whole = sum(count for _, count in parts) == width * height * size
-    if bits % 8 == 0 and in_order and is_whole and not tags.get(_TILE_WIDTH):
-        # Where channels lie one after the other, as pictures of their own.
-        planes = samples if _first(tags, _PLANES) == _SEPARATE else 1
-        rows = plain_rows(
-            data, offset, width * size // planes, (planes * height, width), size // planes
-        )
-        check_dead_rows(rows)
+    is_plain = _first(tags, _COMPRESSION) == _PLAIN and bits % 8 == 0
+    if not (is_plain and parts and in_order and is_whole) or tags.get(_TILE_WIDTH):
+        return None
+    planes = samples if _first(tags, _PLANES) == _SEPARATE else 1
+    shape = planes * height, width
+    return plain_rows(data, parts[0][0], width * size // planes, shape, size // planes)
 
 
 def _first_page(data: bytes) -> dict[int, tuple[int, ...]]:

@@ -15,7 +15,7 @@ pytest.importorskip("PIL")
 from PIL import Image
 
 from slamcli.core.errors import FrameError
-from slamcli.io.frames import read_image
+from slamcli.io.frames import list_frames, read_frame, read_image
 
 HEIGHT, WIDTH = 240, 320
 SUFFIXES = (".bmp", ".pnm", ".tif")
@@ -86,6 +86,35 @@ def test_black_and_white_floors_are_none(
     image = make(value)
     found = read(tmp_path / f"0{suffix}", encoded(image, suffix))
     np.testing.assert_array_equal(found, image[..., ::-1] if suffix == ".tif" else image)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("code", [1, 6])
+def test_a_bar_across_the_picture_is_no_floor(tmp_path: Path, suffix: str, code: int) -> None:
+    image = floor()
+    image[-60:] = 0
+    data = encoded(image, suffix)
+    if suffix == ".tif":
+        stream = BytesIO()
+        Image.fromarray(image).save(stream, "TIFF", tiffinfo={274: code})
+        data = stream.getvalue()
+    path = tmp_path / f"0{suffix}"
+    path.write_bytes(data)
+    mask = read_frame(list_frames([path])[0], gray=True).mask
+    assert mask is not None
+    expected = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    # The row beside a bar may belong to it in part.
+    expected[-61:] = 0
+    turned = code == 6 and suffix == ".tif"
+    np.testing.assert_array_equal(mask, np.rot90(expected, -1) if turned else expected)
+
+
+def test_black_floor_is_no_bar(tmp_path: Path) -> None:
+    image = np.zeros((HEIGHT, WIDTH), np.uint8)
+    cv2.line(image, (20, 100), (300, 120), 255, 9)
+    path = tmp_path / "0.bmp"
+    path.write_bytes(encoded(image, ".bmp"))
+    assert read_frame(list_frames([path])[0]).mask is None
 
 
 def test_a_text_of_pixels_with_zero_bytes_is_damaged(tmp_path: Path) -> None:
