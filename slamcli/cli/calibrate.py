@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from slamcli.cli.command import command
+from slamcli.cli.messages import result
 from slamcli.cli.options import common
 from slamcli.cli.options.fields import filled, option, stacked
 from slamcli.cli.options.values import PATH, POSITIVE, Gamma, Numbers
@@ -23,54 +25,53 @@ _target_options = stacked(
         type=POSITIVE,
         default=0.3048,
         show_default=True,
-        help="Metres: side of the square or the marker, or of one field of the chessboard.",
+        help="Metres: side of the square, marker or field. A field is one of the chessboard.",
     ),
     _target(
         "corners",
         "--corners",
         Numbers("x,y x,y x,y x,y", 2, groups=4, limits=_PIXEL),
-        "The square's corners in pixels, in any order. Default: the square is detected.",
+        "The square's corners, pixels. In any order; default: the square is detected.",
     ),
     click.option(
         "--refine",
         is_flag=True,
-        help="With --corners: move them to the edges nearby. With -c: self-calibration, which "
-        "refines that calibration by the frames of a drive, given in place of photos.",
+        help="Move --corners to edges, or refine -c by frames. With --corners: to the edges "
+        "nearby; with -c: self-calibration by the frames of a drive, in place of photos.",
     ),
     common.calibration,
     _target(
         "chessboard",
         "--chessboard",
         Numbers("8x6", 2, separator="x", limits=_CORNERS),
-        "Use a chessboard instead, of this number of inner corners along both sides.",
+        "Use a chessboard of this many inner corners. Along both sides; in place of a square.",
     ),
-    _target(
-        "marker", "--aruco", text="Use an ArUco marker instead, of this dictionary, such as 4x4_50."
-    ),
+    _target("marker", "--aruco", text="Use an ArUco marker, of a dictionary like 4x4_50."),
     _target(
         "intrinsics_path",
         "--intrinsics",
         PATH,
-        "The lens (camera matrix and distortion): a ROS camera_info YAML.",
+        "The lens: a ROS camera_info YAML. Camera matrix and distortion.",
     ),
     _target(
         "gamma",
         "--gamma",
         Gamma(),
-        "How the photo's values encode light: edges lie where half of the light does.",
+        "How the photo encodes light. Edges lie where half of the light does.",
         default="srgb",
     ),
 )
 
 
-@click.command()
+@command()
 @click.argument("photos", nargs=-1, required=True, type=PATH)
 @_target_options
 @common.max_range
 @common.output(
-    "The calibration (.yaml, or a folder); its check picture goes beside it.",
+    "The calibration: .yaml, or a folder. Its check picture goes beside it.",
     default="calibration.yaml",
 )
+@common.json_output
 @common.workers
 @common.overwrite
 def calibrate(
@@ -81,6 +82,7 @@ def calibrate(
     max_range: float | None,
     output: Path,
     workers: int | None,
+    as_json: bool,
     overwrite: bool,
     **flags: Any,
 ) -> None:
@@ -100,7 +102,7 @@ def calibrate(
         from slamcli.run.calibrate.self_calibration import calibrate_by_frames
 
         with open_session(workers) as session:
-            lines = calibrate_by_frames(
+            report = calibrate_by_frames(
                 photos,
                 calibration,
                 output,
@@ -110,5 +112,5 @@ def calibrate(
             )
     else:
         start = CalibrateOptions(side, refine=refine, max_range_metres=max_range)
-        lines = run_calibrate(photos, output, filled(start, flags), overwrite=overwrite)
-    click.echo("\n".join(lines))
+        report = run_calibrate(photos, output, filled(start, flags), overwrite=overwrite)
+    result(report.json if as_json else "\n".join(report.lines))

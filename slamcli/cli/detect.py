@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import click
-
+from slamcli.cli.command import command
+from slamcli.cli.messages import result
 from slamcli.cli.options import common
 from slamcli.cli.options.features import feature_details, feature_kind
 from slamcli.cli.options.fields import filled
@@ -14,15 +14,16 @@ from slamcli.cli.options.selection import selection_options
 from slamcli.core.config import FeatureOptions, FrameSelection, NetworkFiles
 
 
-@click.command()
+@command()
 @common.frames
 @common.calibration
 @common.output(
-    "Folder of the drawings and of features.csv. Default: the frames' folder with _features added."
+    "Folder of the drawings and features.csv. Default: the frames' folder with _features added."
 )
 @feature_kind(FeatureOptions())
 @feature_details
 @selection_options
+@common.json_output
 @common.workers
 @common.overwrite
 def detect(
@@ -30,6 +31,7 @@ def detect(
     calibration: Path | None,
     output: Path | None,
     workers: int | None,
+    as_json: bool,
     overwrite: bool,
     **flags: Any,
 ) -> None:
@@ -42,7 +44,7 @@ def detect(
     from slamcli.run.detect import detect as run_detect
 
     with open_session(workers) as session:
-        lines = run_detect(
+        report = run_detect(
             frames,
             calibration,
             output or common.default_output(frames[0], "features"),
@@ -52,4 +54,4 @@ def detect(
             overwrite=overwrite,
             session=session,
         )
-    click.echo("\n".join(lines))
+    result(report.json if as_json else "\n".join(report.lines))

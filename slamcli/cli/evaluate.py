@@ -6,12 +6,14 @@ from pathlib import Path
 
 import click
 
+from slamcli.cli.command import command
+from slamcli.cli.messages import result
 from slamcli.cli.options import common
 from slamcli.cli.options.values import AT_LEAST_ONE, PATH, Number
 from slamcli.core.bounds import SECONDS_OR_ZERO
 
 
-@click.command()
+@command()
 @click.argument("poses", type=PATH)
 @click.argument("truth", type=PATH)
 @click.option(
@@ -39,4 +41,4 @@ def evaluate(poses: Path, truth: Path, tolerance: float, delta: int, as_json: bo
     from slamcli.run.evaluate import evaluate as run_evaluate
 
     report = run_evaluate(poses, truth, tolerance_seconds=tolerance, delta=delta)
-    click.echo(report.json if as_json else "\n".join(report.lines))
+    result(report.json if as_json else "\n".join(report.lines))

@@ -5,23 +5,25 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import click
-
+from slamcli.cli.command import command
+from slamcli.cli.messages import result
 from slamcli.cli.options import common
 from slamcli.cli.options.fields import filled
 from slamcli.cli.options.selection import selection_options
 from slamcli.core.config import FrameSelection
 
 
-@click.command()
+@command()
 @common.frames
 @common.output("Folder of the files. Default: that of the source with _extracted added.")
 @selection_options
+@common.json_output
 @common.workers
 @common.overwrite
 def extract(
     frames: tuple[Path, ...],
     output: Path | None,
+    as_json: bool,
     workers: int | None,
     overwrite: bool,
     **flags: Any,
@@ -36,11 +38,11 @@ def extract(
     from slamcli.run.extract import extract as run_extract
 
     with open_session(workers) as session:
-        lines = run_extract(
+        report = run_extract(
             frames,
             output or common.default_output(frames[0], "extracted"),
             selection=filled(FrameSelection(), flags),
             overwrite=overwrite,
             session=session,
         )
-    click.echo("\n".join(lines))
+    result(report.json if as_json else "\n".join(report.lines))

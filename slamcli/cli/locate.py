@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from slamcli.cli.command import command
+from slamcli.cli.messages import result
 from slamcli.cli.options import common
 from slamcli.cli.options.fields import filled
 from slamcli.cli.options.selection import selection_options
@@ -15,7 +17,7 @@ from slamcli.cli.options.values import PATH
 from slamcli.core.config import FrameSelection
 
 
-@click.command()
+@command()
 @click.argument("floor_map", metavar="MAP", type=PATH)
 @common.frames
 @common.output("CSV file for the poses, in the form of poses.csv.")
@@ -53,5 +55,5 @@ def locate(
             selection=filled(FrameSelection(), flags),
             session=session,
         )
-    click.echo(report.json if as_json else "\n".join(report.lines))
+    result(report.json if as_json else "\n".join(report.lines))
     sys.exit(report.exit_code)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import platform
+import re
 import sys
-from importlib import import_module
+from importlib import import_module, metadata
 from typing import Any
 
 import click
@@ -27,6 +29,10 @@ COMMANDS = {
     "view": "Show the report of a map in the browser.",
     "warp": "Warp frames to metric bird's-eye views.",
 }
+
+
+# Extras whose packages no command uses.
+_TOOLS = ("dev", "docs")
 
 
 class SlamGroup(click.Group):
@@ -60,6 +66,7 @@ class SlamGroup(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; an error that the user can correct is one line and an exit code."""
+        from slamcli.cli.messages import messages
         from slamcli.cli.signals import acknowledge
         from slamcli.run.session.interruption import ACKNOWLEDGED, Interruption
 
@@ -67,19 +74,63 @@ class SlamGroup(click.Group):
             with Interruption(acknowledge).at_once():
                 return super().invoke(ctx)
         except SlamcliError as error:
-            click.echo(f"Error: {error}", err=True)
+            messages().show(f"Error: {error}", error=True)
             sys.exit(ExitCode.ERROR)
         except MemoryError as error:
-            click.echo(f"Error: out of memory: {error}; give less at a time", err=True)
+            messages().show(f"Error: out of memory: {error}; give less at a time", error=True)
             sys.exit(ExitCode.ERROR)
         except KeyboardInterrupt as error:
             if ACKNOWLEDGED not in error.args:
-                click.echo("interrupted", err=True)
+                messages().show("interrupted")
             sys.exit(ExitCode.INTERRUPTED)
 
 
+def _show_version(context: click.Context, _option: click.Parameter, value: bool) -> None:
+    """Print the version and end."""
+    if not value or context.resilient_parsing:
+        return
+    click.echo(f"slam {__version__}")
+    if {"-v", "-vV", "-Vv"} & set(sys.argv[1:]):
+        click.echo(f"{'Python':<24} {platform.python_version()}, {platform.platform()}")
+        for name, version in sorted(_packages().items()):
+            click.echo(f"{name:<24} {version}")
+    context.exit()
+
+
+def _packages() -> dict[str, str]:
+    """Return the versions of the packages that this one needs or can use; `-` for missing ones."""
+    found = {}
+    for line in metadata.requires("slamcli") or []:
+        name, marker = re.split(r"[<>=;\s\[]", line)[0], line.partition("extra ==")[2]
+        if marker.strip(" \"'") in _TOOLS:
+            continue
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "-"
+    return found
+
+
+def _choose(context: click.Context, option: click.Parameter, value: bool) -> None:
+    """Take -v also where it stands before the command."""
+    from slamcli.cli.messages import choose
+
+    choose(context, option, value)
+
+
 @click.group(cls=SlamGroup, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(__version__, package_name="slamcli", prog_name="slam")
+@click.option(
+    "-V",
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_show_version,
+    help="Show the version; with -v also those of Python and of what it works with.",
+)
+@click.option(
+    "-v", "verbose", is_flag=True, is_eager=True, expose_value=False, callback=_choose, hidden=True
+)
 def main() -> None:
     """Build a metric bird's-eye map of a floor from the frames of a moving camera.
 

@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from slamcli.cli.command import command
+from slamcli.cli.messages import result
 from slamcli.cli.options import common
 from slamcli.cli.options.features import METHODS, feature_details
 from slamcli.cli.options.fields import filled, option, stacked
@@ -34,7 +36,7 @@ _pair_options = stacked(
         "method",
         "--features",
         click.Choice(["auto", *METHODS]),
-        "Detector and descriptor of feature points; auto tries ORB and SIFT, on the pictures as "
+        "Detector and descriptor of feature points. Auto tries ORB and SIFT, on the pictures as "
         "they are and enlarged, and accepts fewer inliers where the pixels agree.",
         default="auto",
     ),
@@ -47,11 +49,11 @@ _pair_options = stacked(
 )
 
 
-@click.command()
+@command()
 @click.argument("first", type=PATH)
 @click.argument("second", type=PATH)
 @common.calibration
-@common.output("Picture file (.png, .jpg) for a drawing of the matches.")
+@common.output("Picture file for a drawing of the matches. A .png or .jpg.")
 @_pair_options
 @feature_details
 @matching_details(_ratio)
@@ -76,5 +78,5 @@ def match(
 
     resolved = filled(PairOptions(FeatureOptions(), MatchOptions()), flags)
     report = run_match(first, second, calibration, output, resolved, overwrite=overwrite)
-    click.echo(report.json if as_json else "\n".join(report.lines))
+    result(report.json if as_json else "\n".join(report.lines))
     sys.exit(report.exit_code)

@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from slamcli.cli.command import command
+from slamcli.cli.messages import result
 from slamcli.cli.options import common
 from slamcli.cli.options.fields import filled
 from slamcli.cli.options.products import product_options
@@ -15,11 +17,12 @@ from slamcli.cli.options.values import PATH
 from slamcli.core.config import ProductOptions
 
 
-@click.command()
+@command()
 @click.argument("run", type=PATH)
 @common.output("Folder of the map. Default: RUN with _render added.")
 @product_options
 @click.option("--frames", type=PATH, help="Folder of the frames, when it has moved since.")
+@common.json_output
 @common.workers
 @common.overwrite
 def render(
@@ -27,6 +30,7 @@ def render(
     output: Path | None,
     frames: Path | None,
     workers: int | None,
+    as_json: bool,
     overwrite: bool,
     **flags: Any,
 ) -> None:
@@ -47,5 +51,5 @@ def render(
             overwrite=overwrite,
             session=session,
         )
-    click.echo("\n".join(report.lines))
+    result(report.json if as_json else "\n".join(report.lines))
     sys.exit(report.exit_code)

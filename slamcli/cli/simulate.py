@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from slamcli.cli.command import command
+from slamcli.cli.messages import result
 from slamcli.cli.options import common
 from slamcli.cli.options import simulation as options
 from slamcli.cli.options.fields import filled
@@ -14,7 +16,7 @@ from slamcli.cli.options.values import PATH
 from slamcli.simulation.config import SimulationOptions
 
 
-@click.command()
+@command()
 @click.argument("output", type=PATH)
 @options.floor_options
 @options.path_options
@@ -22,11 +24,17 @@ from slamcli.simulation.config import SimulationOptions
 @options.imaging_options
 @options.disturbance_options
 @options.output_options
+@common.json_output
 @common.workers
 @options.seed_option
 @common.overwrite
 def simulate(
-    output: Path, layout: Path | None, workers: int | None, overwrite: bool, **flags: Any
+    output: Path,
+    layout: Path | None,
+    as_json: bool,
+    workers: int | None,
+    overwrite: bool,
+    **flags: Any,
 ) -> None:
     """Simulate a drive over a floor, with ground truth.
 
@@ -37,11 +45,11 @@ def simulate(
     from slamcli.run.simulate import simulate as run_simulate
 
     with open_session(workers) as session:
-        lines = run_simulate(
+        report = run_simulate(
             output,
             filled(SimulationOptions(), flags),
             overwrite=overwrite,
             session=session,
             layout=layout,
         )
-    click.echo("\n".join(lines))
+    result(report.json if as_json else "\n".join(report.lines))

@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamcli.cli.command import command
+from slamcli.cli.messages import result
 from slamcli.cli.options import common
 from slamcli.cli.options.features import feature_details
-from slamcli.cli.options.fields import filled, option, stacked
+from slamcli.cli.options.fields import filled, option
 from slamcli.cli.options.mapping import mapper_options
 from slamcli.cli.options.matching import matching_details, ratio
 from slamcli.cli.options.products import product_options
 from slamcli.cli.options.repeating import repeating
+from slamcli.cli.options.sections import CAMERA, ESSENTIAL, OUTPUT, expert, section
 from slamcli.cli.options.selection import selection_options
 from slamcli.cli.options.telemetry import telemetry_options
 from slamcli.cli.options.values import PATH, POSITIVE, Number, Words
@@ -28,98 +31,121 @@ if TYPE_CHECKING:
 
 _stitch = partial(option, "StitchOptions")
 
-_frame_options = stacked(
+_camera = section(
+    CAMERA,
     _stitch(
         "frame_rate",
         "--frame-rate",
         Number(HERTZ),
-        "Frames per second, which give the frames their stamps.",
+        "Frames per second, for stamps.",
     ),
-    _stitch(
-        "mount",
-        "--mount",
-        click.Choice(["auto", "rigid", "free"]),
-        "How a camera without a calibration is carried: rigid, always at one height and straight "
-        "down; free, with height and tilt that vary; auto finds out.",
-        default="auto",
+    expert(
+        CAMERA,
+        _stitch(
+            "mount",
+            "--mount",
+            click.Choice(["auto", "rigid", "free"]),
+            "How a camera without a calibration is carried: rigid, always at one height and "
+            "straight down; free, with height and tilt that vary; auto finds out.",
+            default="auto",
+        ),
     ),
     _stitch(
         "height_metres",
         "--height",
         POSITIVE,
-        "Metres: height of a camera without a calibration that looks ahead, which gives its map "
-        "the scale.",
+        "Metres above the floor, without a calibration. Of a camera that looks ahead; it gives the "
+        "map its scale.",
     ),
-    _stitch("debug", "--debug", text="Also draw every frame's matches, in matches/.", is_flag=True),
+    _stitch(
+        "self_calibrate",
+        "--self-calibrate/--no-self-calibrate",
+        text="Refine the camera by the frames themselves. And the tilt and height of every frame, "
+        "as far as they determine them (self-calibration).",
+        default=False,
+    ),
+)
+
+_results = section(
+    OUTPUT,
     _stitch(
         "export",
         "--export",
         Words("tum", "kitti", "g2o", "links", "geojson"),
-        "Also write, separated by commas: tum, kitti (trajectories), g2o (the pose graph), links "
-        "(its edges, as a table), geojson (the trajectory on Earth, with --gps).",
+        "Also write tum, kitti, g2o, links or geojson. Separated by commas: tum, kitti "
+        "(trajectories), g2o (the pose graph), links (its edges, as a table), geojson (the "
+        "trajectory on Earth, with --gps).",
         default="",
+    ),
+    expert(
+        OUTPUT,
+        _stitch(
+            "debug", "--debug", text="Also draw every frame's matches, in matches/.", is_flag=True
+        ),
+    ),
+    _stitch(
+        "strict",
+        "--strict",
+        text="Exit 3 when any frame is lost. Without it only when most are.",
+        is_flag=True,
     ),
 )
 
-_run_options = stacked(
+_run_options = section(
+    ESSENTIAL,
     click.option(
         "--dry-run",
         is_flag=True,
-        help="Only check the frames for faults and estimate the time, memory and disk of a run.",
+        help="Only check the frames; estimate time and disk. Lists their faults, and what memory "
+        "a run would take.",
     ),
     _stitch(
         "extend",
         "--extend",
         PATH,
-        "Add FRAMES, of a later drive, to a finished map: the output of slam stitch.",
+        "Add FRAMES to a finished map. Those of a later drive, to the output of slam stitch.",
         metavar="MAP",
     ),
     _stitch(
         "resume",
         "--resume",
-        text="Continue an interrupted run of the same frames and options.",
+        text="Continue an interrupted run. The same frames and options must be given.",
         is_flag=True,
-    ),
-    _stitch("strict", "--strict", text="Exit 3 when any frame is lost.", is_flag=True),
-    _stitch(
-        "self_calibrate",
-        "--self-calibrate/--no-self-calibrate",
-        text="Self-calibration: refine the camera, and the tilt and height of every frame, by the "
-        "frames themselves, as far as they determine them.",
-        default=False,
     ),
 )
 
 
-@click.command()
+@command()
 @common.frames
 @common.calibration
 @common.output("Folder of the map. Default: the frames' folder with _mosaic added.")
-@product_options
-@common.max_range
-@selection_options
-@_frame_options
-@telemetry_options
+@common.overwrite
 @_run_options
+@_camera
+@selection_options
+@expert(CAMERA, common.max_range)
+@telemetry_options
+@product_options
+@_results
+@common.json_output
 @mapper_options
 @feature_details
 @matching_details(ratio(MatchOptions()))
 @common.workers
 @common.scheduler
-@common.overwrite
 def stitch(
     frames: tuple[Path, ...],
     calibration: Path | None,
     output: Path | None,
     workers: int | None,
+    as_json: bool,
     overwrite: bool,
     **flags: Any,
 ) -> None:
     """Stitch the frames of a drive into one map of the floor.
 
     FRAMES is a folder, image files, in the order they were taken, or a video. The output is a
-    folder with the map (an orthomosaic: metric, seen from above, with a world file) and poses.csv,
-    which has for every frame its pose, or the reason why it has none.
+    folder with the map (an orthomosaic) and poses.csv: every frame's pose, or why it has none.
     """
     from slamcli.cli.progress import open_session
     from slamcli.run.stitch import stitch as run_stitch
@@ -147,7 +173,7 @@ def stitch(
             session=session,
             command=repeating(click.get_current_context()),
         )
-    click.echo("\n".join(report.lines))
+    result(report.json if as_json else "\n".join(report.lines))
     sys.exit(report.exit_code)
 
 
@@ -165,4 +191,4 @@ def _dry_run(
         raise click.UsageError("--dry-run does not take --extend")
     with open_session(workers) as session:
         lines = forecast(frames, calibration, options, session=session)
-    click.echo("\n".join(lines))
+    result("\n".join(lines))

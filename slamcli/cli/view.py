@@ -6,11 +6,12 @@ from pathlib import Path
 
 import click
 
+from slamcli.cli.command import command
 from slamcli.cli.options.values import PATH, Whole
 from slamcli.core.bounds import Bounds
 
 
-@click.command()
+@command()
 @click.argument("run", type=PATH)
 @click.option(
     "--port",

@@ -5,21 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import click
-
+from slamcli.cli.command import command
+from slamcli.cli.messages import result
 from slamcli.cli.options import common
 from slamcli.cli.options.fields import filled
 from slamcli.cli.options.selection import selection_options
 from slamcli.core.config import FrameSelection, PaintOptions
 
 
-@click.command()
+@command()
 @common.frames
 @common.calibration
 @common.output("Folder of the views. Default: the frames' folder with _birdseye added.")
 @common.metres_per_pixel
 @common.max_range
 @selection_options
+@common.json_output
 @common.workers
 @common.overwrite
 def warp(
@@ -28,6 +29,7 @@ def warp(
     output: Path | None,
     max_range: float | None,
     workers: int | None,
+    as_json: bool,
     overwrite: bool,
     **flags: Any,
 ) -> None:
@@ -40,7 +42,7 @@ def warp(
     from slamcli.run.warp import warp as run_warp
 
     with open_session(workers) as session:
-        lines = run_warp(
+        report = run_warp(
             frames,
             calibration,
             output or common.default_output(frames[0], "birdseye"),
@@ -50,4 +52,4 @@ def warp(
             overwrite=overwrite,
             session=session,
         )
-    click.echo("\n".join(lines))
+    result(report.json if as_json else "\n".join(report.lines))

@@ -1,14 +1,17 @@
-"""run.toml: the options of a run and its counts, as flat TOML tables."""
+"""TOML: run.toml, with the options of a run and its counts as flat tables; configurations."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+from slamcli.core.errors import InputError
 from slamcli.core.names import readable
-from slamcli.io.files import write_text
+from slamcli.io.files import read_text, write_text
 
 Scalar = str | int | float | bool | tuple[str, ...] | tuple[float, ...] | None
 
@@ -25,6 +28,14 @@ def flatten(options: object, prefix: str = "") -> list[tuple[str, str, Scalar]]:
         else:
             rows.append((prefix, field.name, value))
     return rows
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """Return the tables of a file; raises InputError that names it and says what it is."""
+    try:
+        return tomllib.loads(read_text(path, what))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path} is no TOML file: {error}") from error
 
 
 def write_toml(path: Path, sections: Mapping[str, Mapping[str, Scalar]]) -> None:

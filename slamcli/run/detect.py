@@ -14,6 +14,7 @@ from slamcli.drawing.keypoints import draw_keypoints
 from slamcli.io.files import write_drawing
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.io.keypoints import write_keypoints
+from slamcli.run.command_report import Report
 from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.match.fitting import plain_picture
 from slamcli.run.networks import NetworkFiles, with_point_network
@@ -36,8 +37,8 @@ def detect(
     selection: FrameSelection | None = None,
     overwrite: bool,
     session: Session,
-) -> list[str]:
-    """Write one drawing a frame and `features.csv` into `output`; return the lines to print.
+) -> Report:
+    """Write one drawing a frame and `features.csv` into `output`.
 
     Raises
     ------
@@ -55,7 +56,7 @@ def detect(
         results = each_frame("detecting", work, inputs.files, session)
         found = [result for result in results if not isinstance(result, Skipped)]
         write_keypoints(staging / TABLE, found, inputs.calibration.unit)
-    return [
+    lines = [
         *([inputs.note] if inputs.note else []),
         *(
             f"skipped {result.reason}"
@@ -65,6 +66,14 @@ def detect(
         ),
         f"drawings and {TABLE} in {output}",
     ]
+    facts = {
+        "frames": len(inputs.files),
+        "points": {name: len(points) for name, points, _ in found},
+        "skipped": [result.reason for result in results if isinstance(result, Skipped)],
+        "features": options.method,
+        "output": output,
+    }
+    return Report(tuple(lines), facts)
 
 
 def _resampler(inputs: Inputs) -> Resampler | None:

@@ -26,6 +26,7 @@ from slamcli.io.telemetry import (
     write_gps,
     write_odometry,
 )
+from slamcli.run.command_report import Report
 from slamcli.run.inputs import taken_notes
 from slamcli.run.per_frame import Skipped, each_frame
 from slamcli.run.session.session import Session
@@ -42,8 +43,8 @@ def extract(
     selection: FrameSelection | None = None,
     overwrite: bool,
     session: Session,
-) -> list[str]:
-    """Write the frames, named by their stamps, and all readings; return the lines to print.
+) -> Report:
+    """Write the frames, named by their stamps, and all readings.
 
     Raises
     ------
@@ -63,13 +64,20 @@ def extract(
         readings = [
             line for path in inputs if is_bag(path) for line in _of_bag(path, files, staging)
         ]
-    return [
+    lines = [
         *taken_notes(files),
         *(f"skipped {reason}" for reason in skipped),
         f"{'frames':<12} {len(files) - len(skipped)}, in {output / FRAMES}",
         *readings,
         f"{'written to':<12} {output}",
     ]
+    facts = {
+        "frames": len(files) - len(skipped),
+        "skipped": skipped,
+        "readings": readings,
+        "output": output,
+    }
+    return Report(tuple(lines), facts)
 
 
 def _write_frame(folder: Path, file: FrameFile) -> None:

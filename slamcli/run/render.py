@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,18 +13,11 @@ from slamcli.core.exit_codes import ExitCode
 from slamcli.io.frames import list_frames
 from slamcli.io.map_file import MAP_NAME, load_map, map_path
 from slamcli.io.outputs import output_folder, remove_folder
+from slamcli.run.command_report import Report
 from slamcli.run.inputs import map_file_of, map_sources
 from slamcli.run.paint import outputs
 from slamcli.run.paint.scene import scenes_of
 from slamcli.run.session.session import Session
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RenderReport:
-    """The lines of the closing table, and the exit code."""
-
-    lines: tuple[str, ...]
-    exit_code: ExitCode
 
 
 def render(
@@ -35,8 +28,8 @@ def render(
     *,
     overwrite: bool,
     session: Session,
-) -> RenderReport:
-    """Paint the map of an earlier run into `output`; return the closing table and the exit code.
+) -> Report:
+    """Paint the map of an earlier run into `output`; return what was painted.
 
     Parameters
     ----------
@@ -78,13 +71,21 @@ def render(
         f"{'time':<12} {time.monotonic() - started:.1f} s",
         f"{'written to':<12} {output}",
     ]
+    facts = {
+        "frames": len(estimates),
+        "area": painted.area_square_metres,
+        "unit": unit,
+        "unread": painted.unread,
+        "interrupted": session.interruption.happened,
+        "output": output,
+    }
     if painted.unread:
         lines.insert(0, painted.note)
     if session.interruption.happened:
         lines.insert(0, "interrupted: the map has only the tiles painted so far")
-        return RenderReport(tuple(lines), ExitCode.INTERRUPTED)
+        return Report(tuple(lines), facts, ExitCode.INTERRUPTED)
     code = ExitCode.INCOMPLETE if painted.unread else ExitCode.DONE
-    return RenderReport(tuple(lines), code)
+    return Report(tuple(lines), facts, code)
 
 
 def _folder(run_folder: Path) -> Path:

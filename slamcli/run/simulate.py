@@ -15,13 +15,14 @@ from slamcli.core.arrays import Float64Array, UInt8Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.projection import project_floor
 from slamcli.core.errors import FrameError, InputError
-from slamcli.core.geometry import Grid, Pose2
+from slamcli.core.geometry import Grid, Pose2, path_length
 from slamcli.io import telemetry
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import write_image
 from slamcli.io.frames import read_image
 from slamcli.io.outputs import output_folder
 from slamcli.io.trajectories import read_path
+from slamcli.run.command_report import Report
 from slamcli.run.layouts import read_layout
 from slamcli.run.session.session import Session
 from slamcli.simulation import drive, floors, photograph
@@ -56,8 +57,8 @@ def simulate(
     overwrite: bool,
     session: Session,
     layout: Path | None = None,
-) -> list[str]:
-    """Write frames, calibration photo, truth and sensors into `output`; return the lines to print.
+) -> Report:
+    """Write frames, calibration photo, truth and sensors into `output`.
 
     Parameters
     ----------
@@ -97,7 +98,15 @@ def simulate(
         _write_sensors(staging, options, stamps, poses[:-1])
         save_calibration(staging / "camera.yaml", calibration)
     square_metres = options.square_side_metres
-    return [f"{count} frames, truth, sensors and a {square_metres:g} m square in {output}"]
+    line = f"{count} frames, truth, sensors and a {square_metres:g} m square in {output}"
+    facts = {
+        "frames": count,
+        "length_metres": path_length(poses[:-1]),
+        "square_side_metres": square_metres,
+        "output": output,
+        "files": PRODUCTS,
+    }
+    return Report((line,), facts)
 
 
 def _laid_out(options: SimulationOptions, layout: Path) -> SimulationOptions:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from slamcli.core.camera.footprint import check_metres_per_pixel, default_metres
 from slamcli.core.config import FrameSelection
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.io.raster import world_file
+from slamcli.run.command_report import Report
 from slamcli.run.inputs import open_inputs
 from slamcli.run.per_frame import Skipped, each_frame, frame_outputs
 from slamcli.run.session.session import Session
@@ -31,8 +33,8 @@ def warp(
     selection: FrameSelection | None = None,
     overwrite: bool,
     session: Session,
-) -> list[str]:
-    """Write one PNG and one world file a frame into `output`; return the lines to print.
+) -> Report:
+    """Write one PNG and one world file a frame into `output`.
 
     Raises
     ------
@@ -52,16 +54,25 @@ def warp(
     ) as staging:
         work = partial(_warp_frame, inputs.calibration, resampler, staging)
         results = each_frame("warping", work, inputs.files, session)
-    skipped = [f"skipped {result.reason}" for result in results if isinstance(result, Skipped)]
+    skipped = [result.reason for result in results if isinstance(result, Skipped)]
     unit = inputs.calibration.unit
-    return [
+    lines = [
         *([inputs.note] if inputs.note else []),
-        *skipped,
+        *(f"skipped {reason}" for reason in skipped),
         f"{len(inputs.files) - len(skipped)} of {len(inputs.files)} frames: {grid.width}x"
         f"{grid.height} pixels of {grid.metres_per_pixel:g} {unit}, x {grid.x_min:.3f} to "
         f"{grid.x_max:.3f} {unit} ahead (to the right), y {grid.y_min:.3f} to {grid.y_max:.3f} "
         f"{unit} left (up), in {output}",
     ]
+    facts = {
+        "frames": len(inputs.files),
+        "warped": len(inputs.files) - len(skipped),
+        "skipped": skipped,
+        "grid": asdict(grid),
+        "unit": unit,
+        "output": output,
+    }
+    return Report(tuple(lines), facts)
 
 
 def _warp_frame(

@@ -20,6 +20,8 @@ __all__ = ["calls"]  # a fixture
 OF_THE_SESSION = {"workers", "progress", "notify", "interruption"}
 # These are of the refinement of a calibration alone, which --refine with a folder calls.
 REFINING = {("calibrate", "--calibration"), ("calibrate", "--workers")}
+# These are of the command line itself: tests/cli/test_command.py has them.
+OF_THE_COMMAND_LINE = {"--config", "--help-all", "--verbose", "--quiet", "--log-file"}
 TEXTS = {
     "--format": "geotiff",
     "--layers": "views",
@@ -67,7 +69,9 @@ OPTIONS = [
     (name, parameter)
     for name, command in LOADED.items()
     for parameter in command.params
-    if isinstance(parameter, click.Option) and parameter.name != "help"
+    if isinstance(parameter, click.Option)
+    and parameter.name != "help"
+    and flag_of(parameter) not in OF_THE_COMMAND_LINE
 ]
 
 

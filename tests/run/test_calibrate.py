@@ -280,7 +280,7 @@ def test_several_photos_are_compared_and_the_best_is_written(tmp_path: Path) -> 
     ]
     photos.append(tmp_path / "blank.png")
     cv2.imwrite(str(photos[-1]), np.full((480, 640, 3), 80, np.uint8))
-    lines = run_calibrate(photos, tmp_path / "all.yaml", SQUARE, overwrite=False)
+    lines = run_calibrate(photos, tmp_path / "all.yaml", SQUARE, overwrite=False).lines
     table = [line for line in lines if line.startswith("pitch")]
     assert "25.0°" in table[0]
     assert "45.0°" in table[1]
@@ -308,7 +308,7 @@ def test_a_flat_camera_resolves_a_part_of_the_floor_that_it_keeps(tmp_path: Path
 
 def notes_of(photo: Photo, folder: Path, options: CalibrateOptions = SQUARE) -> str:
     picture = save_photo(photo, folder / "square.png")
-    lines = run_calibrate([picture], folder / "out.yaml", options, overwrite=True)
+    lines = run_calibrate([picture], folder / "out.yaml", options, overwrite=True).lines
     return "\n".join(line for line in lines if line.startswith("note: "))
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slamcli.cli.options.fields import Decorator, option
+from slamcli.cli.options.sections import OUTPUT, PERFORMANCE, expert, section
 from slamcli.cli.options.values import PATH, POSITIVE, Number, Whole
 from slamcli.core.bounds import METRES_PER_PIXEL, SEED, WORKERS
 from slamcli.core.config import PaintOptions
@@ -27,40 +28,49 @@ calibration = click.option(
     "without one the frames are taken as top-down pictures, and lengths are in pixels.",
 )
 
-metres_per_pixel = option(
-    PaintOptions(),
-    "metres_per_pixel",
-    "--metres-per-pixel",
-    Number(METRES_PER_PIXEL),
-    "Resolution of the result (ground sampling distance, GSD). Default: chosen from the camera's "
-    "own sampling of the floor.",
+metres_per_pixel = section(
+    OUTPUT,
+    option(
+        PaintOptions(),
+        "metres_per_pixel",
+        "--metres-per-pixel",
+        Number(METRES_PER_PIXEL),
+        "Resolution of the result (GSD). It is the ground sampling distance; default: chosen from "
+        "the camera's own sampling of the floor.",
+    ),
 )
 
 max_range = click.option(
     "--max-range",
     type=POSITIVE,
-    help="Metres: use the image only up to this distance on the floor, in place of the "
-    "calibration's limit.",
+    help="Metres of floor ahead that are used. Default: the calibration's limit.",
 )
 
-json_output = click.option(
-    "--json", "as_json", is_flag=True, help="Print all results as JSON, in place of text."
+json_output = section(
+    OUTPUT,
+    click.option(
+        "--json", "as_json", is_flag=True, help="Print the results as JSON, in place of text."
+    ),
 )
 
-strict = click.option("--strict", is_flag=True, help="Exit 3 when any frame is lost.")
-
-workers = click.option(
-    "--workers",
-    type=Whole(WORKERS),
-    help="Worker threads; the result is the same for any number. Default: one per processor.",
+workers = section(
+    PERFORMANCE,
+    click.option(
+        "--workers",
+        type=Whole(WORKERS),
+        help="Number of threads. The result is the same for any; default: one per processor.",
+    ),
 )
 
-scheduler = click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    default="",
-    help="Prepare frames and paint tiles on the workers of this Dask scheduler, such as "
-    "tcp://host:8786; all must find the frames under the same path (needs slamcli[cluster]).",
+scheduler = expert(
+    PERFORMANCE,
+    click.option(
+        "--scheduler",
+        metavar="ADDRESS",
+        default="",
+        help="Prepare frames and paint tiles on the workers of this Dask scheduler, such as "
+        "tcp://host:8786; all must find the frames under the same path (needs slamcli[cluster]).",
+    ),
 )
 
 overwrite = click.option("--overwrite", is_flag=True, help="Replace earlier results.")

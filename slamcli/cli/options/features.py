@@ -8,6 +8,8 @@ from typing import Any
 import click
 
 from slamcli.cli.options.fields import Decorator, option, stacked
+from slamcli.cli.options.sections import FEATURES as POINTS
+from slamcli.cli.options.sections import expert
 from slamcli.cli.options.values import PATH, Number, Numbers, Whole
 from slamcli.core.bounds import FEATURES, Bounds
 from slamcli.core.config import FeatureOptions, NetworkFiles
@@ -36,7 +38,8 @@ def feature_kind(group: FeatureOptions) -> Decorator[Any]:
     )
 
 
-feature_details = stacked(
+feature_details = expert(
+    POINTS,
     _network("weights", "--weights", PATH, "ALIKED, DISK: the network, an ONNX file of your own."),
     _network(
         "network_size",

@@ -6,6 +6,7 @@ from functools import partial
 
 from slamcli.cli.options.features import feature_kind
 from slamcli.cli.options.fields import option, stacked
+from slamcli.cli.options.sections import FEATURES, MAPPING, expert
 from slamcli.cli.options.values import POSITIVE, SHARE, Number, Whole
 from slamcli.core.bounds import HALF_TURN_DEGREES, METRES_PER_PIXEL, TILT_DEGREES, Bounds
 from slamcli.core.config import MapperOptions
@@ -13,8 +14,10 @@ from slamcli.core.config import MapperOptions
 _mapper = partial(option, MapperOptions())
 _HALF_TURN = Number(HALF_TURN_DEGREES)
 
-mapper_options = stacked(
-    feature_kind(MapperOptions().features),
+_features = expert(FEATURES, feature_kind(MapperOptions().features))
+
+_mapping = expert(
+    MAPPING,
     _mapper(
         "metres_per_pixel",
         "--view-metres-per-pixel",
@@ -94,3 +97,5 @@ mapper_options = stacked(
         text="Refine each fit on the pixels themselves (photometric refinement).",
     ),
 )
+
+mapper_options = stacked(_features, _mapping)

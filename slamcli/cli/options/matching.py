@@ -9,6 +9,7 @@ import click
 
 from slamcli.cli.options.common import seed
 from slamcli.cli.options.fields import Decorator, option, stacked
+from slamcli.cli.options.sections import MATCHING, expert
 from slamcli.cli.options.values import AT_LEAST_ONE, PATH, POSITIVE, Number, Whole
 from slamcli.core.bounds import FACTOR, MAX_POINTS, SHARE_ABOVE_ZERO, Bounds
 from slamcli.core.config import MatchOptions, NetworkFiles
@@ -84,4 +85,4 @@ _fitting = stacked(
 
 def matching_details(ratio: Decorator[Any]) -> Decorator[Any]:
     """Return the options of matching, with the --ratio of one command."""
-    return stacked(_pairing, ratio, _fitting)
+    return expert(MATCHING, _pairing, ratio, _fitting)

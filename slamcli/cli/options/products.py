@@ -10,6 +10,7 @@ import click
 
 from slamcli.cli.options.common import metres_per_pixel
 from slamcli.cli.options.fields import option, stacked
+from slamcli.cli.options.sections import OUTPUT, PERFORMANCE, expert, section
 from slamcli.cli.options.values import Bytes, Degrees, Number, Numbers, Words
 from slamcli.core.bounds import LATITUDE_DEGREES, LONGITUDE_DEGREES, METRES_PER_PIXEL
 from slamcli.core.config import Datum, ProductOptions
@@ -30,8 +31,8 @@ def _datum(_context: Any, _option: Any, value: tuple[float, ...] | None) -> Datu
     return Datum(latitude, longitude, *map(math.radians, heading))
 
 
-product_options = stacked(
-    metres_per_pixel,
+_painting = expert(
+    OUTPUT,
     _paint(
         "blend",
         "--blend",
@@ -44,12 +45,20 @@ product_options = stacked(
         "--obstacles/--no-obstacles",
         text="Keep obstacles on the floor out of the map, in obstacles.png.",
     ),
+)
+
+_files = section(
+    OUTPUT,
     _product(
         "formats",
         "--format",
         Words("png", "geotiff", "deepzoom", "nav2"),
-        "File formats of the map, separated by commas: png, geotiff, deepzoom, nav2.",
+        "Formats: png, geotiff, deepzoom, nav2. Separated by commas.",
     ),
+)
+
+_file_details = expert(
+    OUTPUT,
     _product(
         "layers",
         "--layers",
@@ -88,6 +97,10 @@ product_options = stacked(
         "counter-clockwise from east, in degrees.",
         callback=_datum,
     ),
+)
+
+_memory = expert(
+    PERFORMANCE,
     _product(
         "memory_bytes",
         "--memory",
@@ -95,3 +108,5 @@ product_options = stacked(
         "Memory of the whole process; the map may be larger than it.",
     ),
 )
+
+product_options = stacked(metres_per_pixel, _painting, _files, _file_details, _memory)

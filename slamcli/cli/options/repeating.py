@@ -9,7 +9,17 @@ from typing import Any
 import click
 
 # Where results go, how quickly, and what becomes of earlier ones.
-_LEFT_OUT = {"output", "overwrite", "StitchOptions_resume", "scheduler", "workers"}
+_LEFT_OUT = {
+    "output",
+    "overwrite",
+    "StitchOptions_resume",
+    "scheduler",
+    "workers",
+    "as_json",
+    "verbose",
+    "quiet",
+    "log_file",
+}
 _WORDS = "slamcli.words"
 
 
@@ -28,7 +38,7 @@ def repeating(context: click.Context) -> str:
             continue
         if isinstance(parameter, click.Option):
             options += _words(parameter, value)
-        else:
+        elif isinstance(value, str | list | tuple):  # else it comes from --config
             arguments += [value] if isinstance(value, str) else value
     return shlex.join(["slam", context.command.name or "", *arguments, *options])
 

@@ -3,20 +3,34 @@
 from __future__ import annotations
 
 from slamcli.cli.options.fields import option, stacked
+from slamcli.cli.options.sections import CAMERA, expert, section
 from slamcli.cli.options.values import Number
 from slamcli.core.bounds import HERTZ, SECONDS_OR_ZERO, TIME_STEP
 from slamcli.core.config import FrameSelection
 
 _SELECTION = FrameSelection()
 
-selection_options = stacked(
+_every = section(
+    CAMERA,
     option(
         _SELECTION,
         "every_seconds",
         "--every",
         Number(TIME_STEP),
-        "Of a video or a bag, seconds from which one frame, the sharpest, is taken. Default: 0.1.",
+        "Video, bag: seconds between two frames. The sharpest frame of each interval is taken; "
+        "default: 0.1.",
     ),
+    option(
+        _SELECTION,
+        "topic",
+        "--topic",
+        text="Bag: topic of the frames. Default: the only one that has pictures.",
+        metavar="NAME",
+    ),
+)
+
+_details = expert(
+    CAMERA,
     option(
         _SELECTION,
         "frames_per_second",
@@ -38,11 +52,6 @@ selection_options = stacked(
         Number(SECONDS_OR_ZERO),
         "Seconds of a video or a bag up to the last frame that is used.",
     ),
-    option(
-        _SELECTION,
-        "topic",
-        "--topic",
-        text="Topic of a bag's frames. Default: the only one that has pictures.",
-        metavar="NAME",
-    ),
 )
+
+selection_options = stacked(_every, _details)

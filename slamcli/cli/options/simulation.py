@@ -9,6 +9,16 @@ import click
 from slamcli.cli.options.common import seed
 from slamcli.cli.options.features import SIZE
 from slamcli.cli.options.fields import option, stacked
+from slamcli.cli.options.sections import (
+    CAMERA,
+    DISTURBANCES,
+    ESSENTIAL,
+    FLOOR,
+    IMAGING,
+    OUTPUT,
+    expert,
+    section,
+)
 from slamcli.cli.options.values import (
     AT_LEAST_ONE,
     NOT_NEGATIVE,
@@ -28,13 +38,18 @@ _imaging = partial(option, SimulationOptions().imaging)
 _disturbance = partial(option, SimulationOptions().disturbances)
 _NUMBER = Whole(Bounds(0, 10_000, whole=True))
 
-floor_options = stacked(
+_floor = section(
+    ESSENTIAL,
     _drive(
         "floor",
         "--floor",
-        text="asphalt, bare, carpet, carpet-tiles, concrete, course, paper, parquet, planks, road, "
-        "terrazzo, tiles, or a picture file.",
+        text="A kind of floor, or a picture file. Kinds: asphalt, bare, carpet, carpet-tiles, "
+        "concrete, course, paper, parquet, planks, road, terrazzo, tiles.",
     ),
+)
+
+_floor_details = expert(
+    FLOOR,
     _drive(
         "floor_metres_per_pixel",
         "--floor-metres-per-pixel",
@@ -70,20 +85,27 @@ floor_options = stacked(
     ),
 )
 
-path_options = stacked(
+floor_options = stacked(_floor, _floor_details)
+
+path_options = section(
+    ESSENTIAL,
     _drive(
         "path",
         "--path",
-        text="line, loop, lawnmower, drift (a loop with free heading), or a CSV of poses with "
-        "columns x, y, heading.",
+        text="line, loop, lawnmower, drift, or a CSV of poses. Drift is a loop with free heading; "
+        "the CSV has columns x, y, heading.",
     ),
     _drive("length_metres", "--length", POSITIVE, "Metres: length of the path."),
     _drive("frames", "--frames", AT_LEAST_ONE, "Number of frames."),
     _drive("frame_rate_hertz", "--frame-rate", Number(HERTZ), "Frames per second."),
-    _drive("lane_metres", "--lane", POSITIVE, "Metres: distance between a lawnmower's lanes."),
+    expert(
+        ESSENTIAL,
+        _drive("lane_metres", "--lane", POSITIVE, "Metres: distance between a lawnmower's lanes."),
+    ),
 )
 
-camera_options = stacked(
+_camera_pose = section(
+    CAMERA,
     _camera("size", "--size", SIZE, "Width and height of a frame, in pixels."),
     _camera("height_metres", "--height", POSITIVE, "Metres: the camera's height over the floor."),
     _camera(
@@ -92,6 +114,10 @@ camera_options = stacked(
         Number(Bounds(1, 90)),
         "Degrees: the camera's pitch below the horizontal.",
     ),
+)
+
+_camera_details = expert(
+    CAMERA,
     _camera(
         "roll_degrees",
         "--roll",
@@ -108,7 +134,10 @@ camera_options = stacked(
     _camera("k2", "--k2", Number(Bounds(-10, 10)), "Radial distortion of the lens, r^4."),
 )
 
-imaging_options = stacked(
+camera_options = stacked(_camera_pose, _camera_details)
+
+imaging_options = expert(
+    IMAGING,
     _imaging(
         "light",
         "--light/--no-light",
@@ -149,7 +178,8 @@ imaging_options = stacked(
     ),
 )
 
-disturbance_options = stacked(
+disturbance_options = expert(
+    DISTURBANCES,
     _disturbance(
         "noise_gray",
         "--noise",
@@ -191,7 +221,8 @@ disturbance_options = stacked(
     ),
 )
 
-output_options = stacked(
+output_options = expert(
+    OUTPUT,
     _drive(
         "square_side_metres",
         "--square-side",
@@ -206,4 +237,4 @@ output_options = stacked(
     ),
 )
 
-seed_option = seed(SimulationOptions())
+seed_option = section(ESSENTIAL, seed(SimulationOptions()))

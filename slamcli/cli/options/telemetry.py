@@ -7,6 +7,7 @@ from functools import partial
 import click
 
 from slamcli.cli.options.fields import option, stacked
+from slamcli.cli.options.sections import SENSORS, expert, section
 from slamcli.cli.options.values import PATH, Number, Numbers
 from slamcli.core.bounds import STAMP, Bounds
 from slamcli.core.telemetry import TelemetryOptions
@@ -15,33 +16,39 @@ _file = partial(option, "TelemetryFiles")
 _TELEMETRY = TelemetryOptions()
 _SECONDS = Numbers("SECONDS|auto", 1, limits=STAMP, auto=True)
 
-telemetry_options = stacked(
+_readings = section(
+    SENSORS,
     _file(
         "odometry",
         "--odometry",
         PATH,
-        "Odometry: CSV with stamp (s), x, y (m), heading (rad), or a TUM file. It gives poses "
+        "Odometry: CSV of stamp, x, y, heading, or TUM. Seconds, metres, radians. It gives poses "
         "where the floor shows no detail.",
     ),
     _file(
         "compass",
         "--compass",
         PATH,
-        "Headings: CSV with stamp and heading (rad from east) or bearing (from north).",
+        "Compass: CSV of stamp, heading or bearing. In radians, from east or from north.",
     ),
     _file(
         "gps",
         "--gps",
         PATH,
-        "GPS positions: CSV with stamp, latitude, longitude (WGS84). Needs slamcli[geo].",
+        "GPS: CSV of stamp, latitude, longitude. Degrees, WGS84; needs slamcli[geo].",
     ),
     click.option(  # of two dataclasses: auto is of TelemetryFiles
         "--time-offset",
         type=_SECONDS,
         default=_SECONDS.text((_TELEMETRY.time_offset_seconds,)),
         show_default=True,
-        help="Added to the readings' stamps to get the frames'; auto estimates it from odometry.",
+        help="Added to the readings' stamps, seconds. It gives the frames' stamps; auto estimates "
+        "it from odometry.",
     ),
+)
+
+_details = expert(
+    SENSORS,
     option(
         _TELEMETRY,
         "lever_arm_metres",
@@ -57,3 +64,5 @@ telemetry_options = stacked(
         "Standard deviation of odometry's distances, as a share of them.",
     ),
 )
+
+telemetry_options = stacked(_readings, _details)

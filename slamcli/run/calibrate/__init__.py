@@ -24,6 +24,7 @@ from slamcli.io.calibrations import CalibrationSource, load_intrinsics, save_cal
 from slamcli.io.files import write_drawing
 from slamcli.io.frames import read_image
 from slamcli.io.outputs import refuse_existing
+from slamcli.io.runs import camera_section
 from slamcli.run.calibrate.mountings import (
     Result,
     Target,
@@ -33,6 +34,7 @@ from slamcli.run.calibrate.mountings import (
     describe,
     floor_areas,
 )
+from slamcli.run.command_report import Report
 from slamcli.stages import calibrate as solving
 from slamcli.stages import features, square, view
 from slamcli.stages.calibrate import board
@@ -85,8 +87,8 @@ class CalibrateOptions:
 
 def calibrate(
     photos: Sequence[Path], output: Path, options: CalibrateOptions, *, overwrite: bool
-) -> list[str]:
-    """Calibrate from each photo, write the files, and return the lines of the report.
+) -> Report:
+    """Calibrate from each photo and write the files.
 
     One photo: `output` (a .yaml file, or a folder for calibration.yaml) and its check picture, the
     same name with .png. Several: `output` is the best one's, and each photo's own calibration and
@@ -120,19 +122,38 @@ def calibrate(
         raise CalibrationError(f"no photo yields a calibration; {failures[0]}")
     if len(photos) == 1:
         _write(path, results[0], options)
-        return [*describe(results[0]), f"wrote {path} and {path.with_suffix('.png').name}"]
+        wrote = f"wrote {path} and {path.with_suffix('.png').name}"
+        return Report((*describe(results[0]), wrote), _facts(path, results[0]))
     best, reason = choose_best(results)
     for place, result in zip(own, _aligned(photos, results), strict=True):
         if result is not None:
             _write(place, result, options)
     _write(path, best, options)
-    return [
+    lines = [
         *compare(results),
         *[f"not calibrated: {failure}" for failure in failures],
         f"best: {best.photo.name}, {reason}",
         *describe(best),
         f"wrote {path} (the best), and each photo's own beside it",
     ]
+    placed = zip(own, _aligned(photos, results), strict=True)
+    others = [_facts(place, result) for place, result in placed if result is not None]
+    facts = {**_facts(path, best), "reason": reason, "failures": failures, "photos": others}
+    return Report(tuple(lines), facts)
+
+
+def _facts(path: Path, result: Result) -> dict[str, object]:
+    """Return a calibration as facts."""
+    return {
+        "photo": result.photo,
+        "output": path,
+        "target": result.target.name,
+        **camera_section(result.calibration),
+        "area_square_metres": result.area,
+        "resolved_area_square_metres": result.resolved_area,
+        "near_metres": result.near_metres,
+        "notes": result.target.notes,
+    }
 
 
 def _check(options: CalibrateOptions, photos: Sequence[Path]) -> None:

@@ -18,7 +18,9 @@ from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.io.calibrations import CalibrationSource, load_origin, save_calibration
 from slamcli.io.frames import read_frame
 from slamcli.io.outputs import refuse_existing
+from slamcli.io.runs import camera_section
 from slamcli.io.toml import Scalar
+from slamcli.run.command_report import Report
 from slamcli.run.frame_loop import register
 from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.session.session import Session
@@ -34,8 +36,8 @@ def calibrate_by_frames(
     *,
     overwrite: bool,
     session: Session,
-) -> list[str]:
-    """Refine an existing calibration by a drive's frames, write it, return the report's lines.
+) -> Report:
+    """Refine an existing calibration by a drive's frames and write it.
 
     Raises
     ------
@@ -57,7 +59,9 @@ def calibrate_by_frames(
     origin = load_origin(inputs.calibration_path)
     save_calibration(path, done.registration.calibration, origin)
     lines = [inputs.note] if inputs.note else []
-    return [*lines, *describe(done), f"wrote {path}"]
+    lines += [*describe(done), f"wrote {path}"]
+    camera = camera_section(done.registration.calibration)
+    return Report(tuple(lines), {"output": path, **run_section(done), **camera})
 
 
 def self_calibrate(

@@ -16,6 +16,7 @@ from slamcli.io.outputs import locked_folder, move_folder, remove_folder, stagin
 from slamcli.io.poses import write_poses
 from slamcli.mapping.backend.pose_graph import placed_fragments
 from slamcli.run.calibrate import self_calibration
+from slamcli.run.command_report import Report
 from slamcli.run.frame_loop import finish, registration_of, run_mapper
 from slamcli.run.paint import outputs
 from slamcli.run.paint.outputs import PaintedMaps
@@ -27,7 +28,6 @@ from slamcli.run.stitch import exports, oblique, report, resume, survey
 from slamcli.run.stitch.debug_drawings import draw_trials
 from slamcli.run.stitch.drive import Drive, LocatedDrive, open_drive
 from slamcli.run.stitch.options import StitchOptions
-from slamcli.run.stitch.report import StitchReport
 from slamcli.run.stitch.timing import TIMING_NAME, Timing
 from slamcli.run.telemetry import TelemetryFiles, feed_shifted
 
@@ -55,7 +55,7 @@ def stitch(
     overwrite: bool,
     session: Session,
     command: str = "",
-) -> StitchReport:
+) -> Report:
     """Map the frames of folders or files into `output`.
 
     Parameters

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from slamcli import __version__
@@ -11,20 +11,13 @@ from slamcli.core.geometry import path_length
 from slamcli.io import runs, toml
 from slamcli.mapping.backend.pose_graph import placed_fragments
 from slamcli.run.calibrate.self_calibration import describe, run_section
+from slamcli.run.command_report import Report
 from slamcli.run.networks import LEARNED
 from slamcli.run.paint.outputs import PaintedMaps, counted
 from slamcli.run.report.run import FinishedRun
 from slamcli.run.session.session import Session
 from slamcli.run.stitch import exports
 from slamcli.run.stitch.drive import Drive, LocatedDrive
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StitchReport:
-    """The lines of the closing table, and the exit code."""
-
-    lines: tuple[str, ...]
-    exit_code: ExitCode
 
 
 def report(
@@ -34,7 +27,7 @@ def report(
     seconds: float,
     *,
     interrupted: bool,
-) -> StitchReport:
+) -> Report:
     """Return the closing table; its first lines give the reason of any exit code but 0."""
     estimates, inputs = located.estimates, located.drive.inputs
     placed = [e.map_from_robot for e in estimates if e.map_from_robot is not None]
@@ -61,7 +54,31 @@ def report(
     lines += [f"{name:<12} {value}" for name, value in rows]
     if located.self_calibration is not None:
         lines += describe(located.self_calibration)
-    return StitchReport(tuple(lines), code)
+    facts = {**_facts(located, painted), "seconds": seconds, "output": output}
+    return Report(tuple(lines), facts, code)
+
+
+def _facts(located: LocatedDrive, painted: PaintedMaps) -> dict[str, object]:
+    """Return what the closing table says, for a program."""
+    estimates, mapper = located.estimates, located.mapper
+    facts: dict[str, object] = {
+        **_counts(located),
+        "unit": located.calibration.unit,
+        "path_length": _path_length(located),
+        "area": painted.area_square_metres,
+        "lost_frames": [
+            {"name": e.name, "reason": e.reason} for e in estimates if e.status == "lost"
+        ],
+        "vanished": located.vanished,
+        "unread": painted.unread,
+        "georeferences": {
+            fragment: exports.georeference_table(found)
+            for fragment, found in mapper.georeferences.items()
+        },
+    }
+    if located.self_calibration is not None:
+        facts["self_calibration"] = run_section(located.self_calibration)
+    return facts
 
 
 def finished(located: LocatedDrive, painted: PaintedMaps, command: str) -> FinishedRun:
@@ -100,10 +117,6 @@ def _map_rows(located: LocatedDrive, painted: PaintedMaps) -> list[tuple[str, st
     """Return the rows on the map: its fragments, the sensors' part, lost frames and its size."""
     frames, placed = len(located.estimates), sum(e.status != "lost" for e in located.estimates)
     fragments = placed_fragments(located.estimates)
-    length = sum(
-        path_length([e.map_from_robot for e in members if e.map_from_robot is not None])
-        for members in fragments.values()
-    )
     unit = located.calibration.unit
     return [
         ("frames", str(frames)),
@@ -111,9 +124,16 @@ def _map_rows(located: LocatedDrive, painted: PaintedMaps) -> list[tuple[str, st
         ("fragments", str(len(fragments))),
         *_sensor_rows(located),
         *_lost_rows(located),
-        ("path length", f"{length:.3f} {unit}"),
+        ("path length", f"{_path_length(located):.3f} {unit}"),
         ("area", f"{painted.area_square_metres:.3f} {unit}²"),
     ]
+
+
+def _path_length(located: LocatedDrive) -> float:
+    return sum(
+        path_length([e.map_from_robot for e in members if e.map_from_robot is not None])
+        for members in placed_fragments(located.estimates).values()
+    )
 
 
 def _lost_rows(located: LocatedDrive) -> list[tuple[str, str]]:
@@ -141,18 +161,10 @@ def _sensor_rows(located: LocatedDrive) -> list[tuple[str, str]]:
 
 def write_run(path: Path, located: LocatedDrive, session: Session) -> None:
     """Write run.toml: inputs, camera, options, and the counts of the result."""
-    estimates, mapper = located.estimates, located.mapper
+    mapper = located.mapper
     sections = {"": _inputs_section(located), "camera": runs.camera_section(located.calibration)}
     sections |= _option_sections(located.drive, session)
-    sections["counts"] = {
-        "frames": len(estimates),
-        "placed": sum(e.map_from_robot is not None for e in estimates),
-        "predicted": sum(e.status == "predicted" for e in estimates),
-        "lost": sum(e.status == "lost" for e in estimates),
-        "fragments": len(placed_fragments(estimates)),
-        "links": len(located.registered.links) if located.survey else len(mapper.links),
-        "switched_off": len(mapper.switched_off),
-    }
+    sections["counts"] = _counts(located)
     for fragment, georeference in mapper.georeferences.items():
         name = "georeference" if fragment == 0 else f"georeference_{fragment}"
         sections[name] = exports.georeference_table(georeference)
@@ -161,6 +173,20 @@ def write_run(path: Path, located: LocatedDrive, session: Session) -> None:
     if located.survey is not None:
         sections["survey"] = located.survey.section
     toml.write_toml(path, sections)
+
+
+def _counts(located: LocatedDrive) -> dict[str, toml.Scalar]:
+    """Return the counts of the result."""
+    estimates, mapper = located.estimates, located.mapper
+    return {
+        "frames": len(estimates),
+        "placed": sum(e.map_from_robot is not None for e in estimates),
+        "predicted": sum(e.status == "predicted" for e in estimates),
+        "lost": sum(e.status == "lost" for e in estimates),
+        "fragments": len(placed_fragments(estimates)),
+        "links": len(located.registered.links) if located.survey else len(mapper.links),
+        "switched_off": len(mapper.switched_off),
+    }
 
 
 def _inputs_section(located: LocatedDrive) -> dict[str, toml.Scalar]:
@@ -175,6 +201,7 @@ def _inputs_section(located: LocatedDrive) -> dict[str, toml.Scalar]:
         "odometry": str(files.odometry) if files.odometry else None,
         "compass": str(files.compass) if files.compass else None,
         "gps": str(files.gps) if files.gps else None,
+        "time_offset": "auto" if files.find_time_offset else None,
     }
 
 

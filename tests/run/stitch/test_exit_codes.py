@@ -14,10 +14,10 @@ from command_line import contents, slam
 from slamcli.core.config import MapperOptions, PaintOptions, ProductOptions
 from slamcli.core.errors import OutputError
 from slamcli.core.exit_codes import ExitCode
+from slamcli.run.command_report import Report
 from slamcli.run.session.session import Session
 from slamcli.run.stitch import resume, stitch
 from slamcli.run.stitch.options import StitchOptions
-from slamcli.run.stitch.report import StitchReport
 
 COARSE = ("--metres-per-pixel", "0.004")
 OPTIONS = StitchOptions(MapperOptions(), products=ProductOptions(PaintOptions(0.004)))
@@ -60,7 +60,7 @@ def test_a_stitch_that_places_no_frame_is_an_error(tmp_path: Path) -> None:
     assert "placed       0 (0%)" in result.output
 
 
-def stitched(frames: Path, output: Path, session: Session, **changes: bool) -> StitchReport:
+def stitched(frames: Path, output: Path, session: Session, **changes: bool) -> Report:
     options = StitchOptions(OPTIONS.mapper, products=OPTIONS.products, **changes)
     return stitch([frames], None, output, options, overwrite=False, session=session)
 

@@ -21,10 +21,10 @@ from command_line import contents, slam
 from slamcli.core.config import MapperOptions, PaintOptions, ProductOptions
 from slamcli.core.errors import OutputError
 from slamcli.io.checkpoints import Checkpoint, run_key
+from slamcli.run.command_report import Report
 from slamcli.run.session.session import Session
 from slamcli.run.stitch import resume, stitch
 from slamcli.run.stitch.options import StitchOptions
-from slamcli.run.stitch.report import StitchReport
 
 COARSE = ("--metres-per-pixel", "0.004")
 
@@ -107,7 +107,7 @@ def cut_off(drive: Path, output: Path, stage: str, **changes: bool) -> None:
 
 def stitched(
     drive: Path, output: Path, session: Session, *, overwrite: bool = False, **changes: bool
-) -> StitchReport:
+) -> Report:
     options = StitchOptions(MapperOptions(), products=ProductOptions(PaintOptions(0.004)))
     return stitch(
         [drive], None, output, replace(options, **changes), overwrite=overwrite, session=session

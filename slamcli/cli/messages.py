@@ -1,0 +1,129 @@
+"""What a command prints beside its result: how much of it, in which colours, and into which log."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import sys
+import time
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, TextIO
+
+import click
+
+from slamcli.cli.options.sections import OUTPUT, expert, section
+from slamcli.cli.options.values import PATH
+from slamcli.core.errors import OutputError
+from slamcli.core.names import readable
+
+_KEY = __name__
+
+
+@dataclass(slots=True)
+class Messages:
+    """The messages of one command.
+
+    Attributes
+    ----------
+    quiet : bool
+        No progress and no notes on the standard error.
+    verbose : bool
+        Also what is for experts: log records of the library, with tracebacks.
+    log : text file or None
+        Takes all messages, each with its time.
+    """
+
+    quiet: bool = False
+    verbose: bool = False
+    log: TextIO | None = field(default=None, repr=False)
+
+    def show(self, line: str, *, error: bool = False) -> None:
+        """Print a line that is no result."""
+        self.record(line)
+        if error or not self.quiet:
+            click.echo(click.style(line, fg="red") if error else line, err=True, color=_colour())
+
+    def record(self, text: str) -> None:
+        """Write lines into the log alone."""
+        if self.log is not None:
+            now = time.strftime("%Y-%m-%d %H:%M:%S")
+            self.log.writelines(f"{now} {line}\n" for line in text.splitlines())
+            self.log.flush()
+
+
+def messages() -> Messages:
+    """Return the messages of the command that runs."""
+    context = click.get_current_context(silent=True)
+    if context is None:
+        return Messages()
+    found: Messages = context.meta.setdefault(_KEY, Messages())
+    return found
+
+
+def result(text: str) -> None:
+    """Print a result on the standard output; the log has it too."""
+    messages().record(text)
+    click.echo(text)
+
+
+def choose(context: click.Context, option: click.Parameter, value: Any) -> None:
+    """Take one of the options of messages; each comes before the command's own."""
+    if not value or context.resilient_parsing:
+        return
+    found = messages()
+    if option.name == "quiet":
+        found.quiet = True
+    elif option.name == "verbose":
+        found.verbose = True
+        _log_library(context, logging.StreamHandler(), logging.DEBUG)
+    else:
+        found.log = _open_log(value)
+        context.call_on_close(found.log.close)
+        found.record(" ".join(["slam", *map(readable, sys.argv[1:])]))
+        _log_library(context, logging.StreamHandler(found.log), logging.INFO)
+
+
+def _open_log(path: Path) -> TextIO:
+    """Open a log to append to it. Raises OutputError."""
+    try:
+        if path.exists() and (not path.is_file() or not _is_log(path)):
+            raise OutputError(f"cannot write the log {path}: there is something else; name a log")
+        return path.open("a", encoding="utf-8", errors="backslashreplace")
+    except OSError as error:
+        raise OutputError(f"cannot write the log {path}: {error.strerror}") from error
+
+
+def _is_log(path: Path) -> bool:
+    """Return whether a file is empty or begins with a date, as logs do."""
+    with path.open("rb") as file:
+        return re.fullmatch(rb"(\d{4}-\d\d-\d\d)?", file.read(10)) is not None
+
+
+def _log_library(context: click.Context, handler: logging.Handler, level: int) -> None:
+    """Send the records of the package's own logger to a handler, until the command ends."""
+    handler.setFormatter(logging.Formatter("%(asctime)s %(name)s %(levelname)s %(message)s"))
+    logger = logging.getLogger("slamcli")
+    logger.addHandler(handler)
+    handler.setLevel(level)
+    context.call_on_close(lambda: logger.removeHandler(handler))
+
+
+_option = partial(click.option, is_eager=True, expose_value=False, callback=choose)
+
+message_options = section(
+    OUTPUT,
+    _option("-q", "--quiet", is_flag=True, help="Print the result alone: no progress, no notes."),
+    _option("--log-file", type=PATH, help="Also log all messages in a file. Each with its time."),
+    expert(
+        OUTPUT,
+        _option("-v", "--verbose", is_flag=True, help="Print failures with their tracebacks."),
+    ),
+)
+
+
+def _colour() -> bool | None:
+    """Return whether to use colours: where there is a terminal, unless NO_COLOR is set."""
+    return False if os.environ.get("NO_COLOR") else None
