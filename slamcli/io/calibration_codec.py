@@ -42,7 +42,10 @@ _COVARIANCE_TOLERANCE = 1e-6
 
 
 def to_dict(calibration: Calibration) -> dict[str, Any]:
-    """Return every field of a calibration by its name: arrays as lists, nan as None."""
+    """Return every field of a calibration by its name: arrays as lists, nan as None.
+
+    Without a direction in the picture that points ahead `ahead_radians` is left out.
+    """
     plain: dict[str, Any] = {}
     for field in fields(calibration):
         value = getattr(calibration, field.name)
@@ -51,6 +54,8 @@ def to_dict(calibration: Calibration) -> dict[str, Any]:
         elif isinstance(value, int | float):
             value = None if math.isnan(value) else float(value)
         plain[field.name] = value
+    if plain["ahead_radians"] is None:
+        del plain["ahead_radians"]
     return plain
 
 
@@ -59,7 +64,7 @@ def from_dict(section: Mapping[str, Any]) -> Calibration:
 
     `robot_from_image` may be left out, to be composed from the camera matrix, height, pitch and
     roll; where it is given it must agree with these. The unit is metres unless it is given, and
-    sigmas may be left out.
+    sigmas and the direction ahead may be left out.
 
     Raises
     ------
@@ -69,15 +74,17 @@ def from_dict(section: Mapping[str, Any]) -> Calibration:
     intrinsics = intrinsics_from_dict(section)
     unit: Unit = check_word(section.get("unit", "m"), "unit", get_args(Unit))
     mounting = _mounting(section, unit)
+    ahead = _number_or_nan(section.get("ahead_radians"), "ahead_radians", _HALF_TURN)
     max_range = required(section, "max_range_metres")
     return Calibration(
         camera_matrix=intrinsics.camera_matrix,
         distortion=intrinsics.distortion,
         distortion_model=intrinsics.distortion_model,
         image_size=intrinsics.image_size,
-        robot_from_image=_robot_from_image(section, intrinsics, mounting),
+        robot_from_image=_robot_from_image(section, intrinsics, {**mounting, "ahead": ahead}),
         max_range_metres=check_number(max_range, "max_range_metres", LENGTH),
         unit=unit,
+        ahead_radians=ahead,
         **mounting,
         **{name: _number_or_nan(section.get(name), name, _SIGMA) for name in _SIGMAS},
         covariance=_covariance(section.get("covariance")),
@@ -154,7 +161,9 @@ def _robot_from_image(
     section: Mapping[str, Any], intrinsics: Intrinsics, mounting: Mapping[str, float]
 ) -> Float64Array:
     """Return the homography that is given, or else the one that the mounting composes."""
-    unknown = next((name for name, value in mounting.items() if math.isnan(value)), None)
+    unknown = next(
+        (name for name, value in mounting.items() if math.isnan(value) and name != "ahead"), None
+    )
     composed = None
     if unknown is None:
         composed = compose_robot_from_image(intrinsics.camera_matrix, *mounting.values())

@@ -28,6 +28,7 @@ _YAML_KEYS = {
     "distortion": "distortion_coefficients",
     "pitch_radians": "pitch_degrees, in radians,",
     "roll_radians": "roll_degrees, in radians,",
+    "ahead_radians": "ahead_degrees, in radians,",
     "pitch_sigma_radians": "pitch_sigma_degrees, in radians,",
     "roll_sigma_radians": "roll_sigma_degrees, in radians,",
     "format_version": "ground_plane.format_version",
@@ -177,6 +178,7 @@ def calibration_text(calibration: Calibration, origin: CalibrationSource | None 
             "  # of the optical axis below the horizontal",
             f"  roll_degrees: {_text(_degrees(calibration.roll_radians))}"
             "  # positive: the right side is lower",
+            *_ahead_lines(calibration),
             f"  focal_sigma_pixels: {_text(calibration.focal_sigma_pixels)}",
             f"  height_sigma_metres: {_text(calibration.height_sigma_metres)}",
             f"  pitch_sigma_degrees: {_text(_degrees(calibration.pitch_sigma_radians))}",
@@ -199,6 +201,15 @@ def _covariance_lines(covariance: Float64Array | None) -> list[str]:
     return [
         "  # Of log focal length, log height, pitch and roll (radians), which err together.",
         *_matrix_lines("covariance", covariance, indent="  "),
+    ]
+
+
+def _ahead_lines(calibration: Calibration) -> list[str]:
+    if math.isnan(calibration.ahead_radians):
+        return []
+    return [
+        f"  ahead_degrees: {_text(_degrees(calibration.ahead_radians))}"
+        "  # of the direction in the picture that is x, clockwise from up; roll turns about x",
     ]
 
 
@@ -260,6 +271,7 @@ def _mounting_section(ground: dict[str, Any]) -> dict[str, Any]:
         "height_metres": number(ground, "height_metres"),
         "pitch_radians": math.radians(number(ground, "pitch_degrees")),
         "roll_radians": math.radians(number(ground, "roll_degrees")),
+        "ahead_radians": math.radians(number(ground, "ahead_degrees", math.nan)),
         "max_range_metres": number(ground, "max_range_metres"),
         "focal_sigma_pixels": number(ground, "focal_sigma_pixels", math.nan),
         "height_sigma_metres": number(ground, "height_sigma_metres", math.nan),

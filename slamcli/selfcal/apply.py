@@ -128,7 +128,11 @@ def _scaled_camera(found: adjustment.Adjustment, before: Calibration, scale: flo
         height_metres=height,
         max_range_metres=scale * calibration.max_range_metres,
         robot_from_image=compose_robot_from_image(
-            calibration.camera_matrix, height, calibration.pitch_radians, calibration.roll_radians
+            calibration.camera_matrix,
+            height,
+            calibration.pitch_radians,
+            calibration.roll_radians,
+            calibration.ahead_radians,
         ),
         height_sigma_metres=scale * before.height_sigma_metres,
         focal_sigma_pixels=float(sigmas[0] * calibration.camera_matrix[0, 0]),

@@ -197,3 +197,27 @@ def test_numbers_that_could_not_be_read_again_are_not_written(
     with pytest.raises(CalibrationError, match=r"ground_plane.height_metres is .* a number from"):
         save_calibration(path, example(height_metres=height))
     assert not path.exists()
+
+
+def test_the_direction_ahead_comes_back(tmp_path: Path) -> None:
+    assert (
+        "ahead" not in saved(tmp_path).read_text().split("ground_plane")[1].partition("x ahead")[2]
+    )
+    ahead = math.radians(-90.0)
+    written = example(ahead_radians=ahead, pitch_radians=math.radians(91.0))
+    composed = compose_robot_from_image(
+        written.camera_matrix,
+        written.height_metres,
+        written.pitch_radians,
+        written.roll_radians,
+        ahead,
+    )
+    path = saved(
+        tmp_path,
+        ahead_radians=ahead,
+        pitch_radians=written.pitch_radians,
+        robot_from_image=composed,
+    )
+    read = load_calibration(path)
+    assert read.ahead_radians == pytest.approx(ahead, rel=1e-15)
+    assert np.allclose(read.robot_from_image, composed, rtol=1e-12)

@@ -78,13 +78,20 @@ def adjusted(
     )
 
 
-@pytest.mark.parametrize("model", ["plumb_bob", "equidistant"])
-def test_the_derivatives_are_those_of_the_transfer(true_camera: Calibration, model: str) -> None:
+@pytest.mark.parametrize(
+    ("model", "nadir"), [("plumb_bob", False), ("equidistant", False), ("plumb_bob", True)]
+)
+def test_the_derivatives_are_those_of_the_transfer(
+    true_camera: Calibration, model: str, nadir: bool
+) -> None:
     calibration = replace(
         true_camera,
         distortion_model=model,  # type: ignore[arg-type]
         distortion=np.array([-0.1, 0.02, 0.0, 0.0]),
     )
+    if nadir:
+        above = replace(calibration, pitch_radians=1.55, roll_radians=-0.03, ahead_radians=0.7)
+        calibration = rocked(above, Rocking())
     a = adjustment.FramePose(Pose2(1.0, 2.0, 0.3), Rocking(0.01, -0.02, 0.01))
     b = adjustment.FramePose(Pose2(1.1, 2.05, 0.5), Rocking(-0.01, 0.01, 0.003))
     pixels = np.random.default_rng(0).uniform([100, 200], [500, 450], (20, 2))

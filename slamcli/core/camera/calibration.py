@@ -24,8 +24,9 @@ CACHED_CALIBRATIONS: Final = 8
 class Calibration:
     """A camera mounted over a flat floor: its lens, and the homography to the floor.
 
-    The robot frame lies on the floor straight below the camera: x ahead (the floor projection of
-    the optical axis), y left, z up (ROS REP 103).
+    The robot frame lies on the floor straight below the camera: x ahead, y left, z up (ROS REP
+    103). Ahead is the floor projection of the optical axis, or of a direction in the picture where
+    `ahead_radians` gives one, as for a camera that looks about straight down.
 
     Attributes
     ----------
@@ -43,7 +44,8 @@ class Calibration:
     pitch_radians : float
         Of the optical axis below the horizontal: positive looks down.
     roll_radians : float
-        About the optical axis: positive lowers the camera's right side.
+        About the optical axis or, with `ahead_radians`, about the robot's x axis: positive lowers
+        the camera's right side.
     max_range_metres : float
         Distance on the floor from the robot's origin beyond which the image is not used.
     focal_sigma_pixels, height_sigma_metres, pitch_sigma_radians, roll_sigma_radians : float
@@ -55,6 +57,9 @@ class Calibration:
         ``m``; ``h`` for a camera found by its frames alone, where every "metre" is the camera's
         height; or ``px`` for top-down frames without a calibration, where every "metre" is a pixel
         and height, pitch and roll are nan.
+    ahead_radians : float
+        Direction in the picture that points ahead, clockwise from its up; nan where ahead is the
+        optical axis.
     """
 
     camera_matrix: Float64Array
@@ -72,6 +77,7 @@ class Calibration:
     roll_sigma_radians: float = float("nan")
     covariance: Float64Array | None = None
     unit: Unit = "m"
+    ahead_radians: float = float("nan")
 
     @property
     def image_from_robot(self) -> Float64Array:

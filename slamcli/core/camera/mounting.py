@@ -12,15 +12,39 @@ from slamcli.core.camera.calibration import Calibration, Rocking
 from slamcli.core.geometry import invert
 
 
-def robot_from_camera_rotation(pitch_radians: float, roll_radians: float) -> Float64Array:
-    """Return the (3, 3) rotation from optical (x right, y down, z ahead) to robot axes."""
+def robot_from_camera_rotation(
+    pitch_radians: float, roll_radians: float, ahead_radians: float = math.nan
+) -> Float64Array:
+    """Return the (3, 3) rotation from optical (x right, y down, z ahead) to robot axes.
+
+    Pitch turns about the robot's y axis. Roll turns before it, about the optical axis, which then
+    points ahead; or, where a direction in the picture does, after it and about the robot's x axis:
+    so both are tilts of a camera that looks straight down, where the first two turn about one axis.
+    """
     level = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     cos_pitch, sin_pitch = math.cos(pitch_radians), math.sin(pitch_radians)
-    cos_roll, sin_roll = math.cos(roll_radians), math.sin(roll_radians)
     about_y = np.array([[cos_pitch, 0.0, sin_pitch], [0.0, 1.0, 0.0], [-sin_pitch, 0.0, cos_pitch]])
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cos_roll, -sin_roll], [0.0, sin_roll, cos_roll]])
-    rotation: Float64Array = about_y @ about_x @ level
+    about_x = _about_x(roll_radians)
+    if math.isnan(ahead_radians):
+        rotation: Float64Array = about_y @ about_x @ level
+    else:
+        rotation = about_x @ about_y @ _about_x(-ahead_radians) @ level
     return rotation
+
+
+def tilt(up: Float64Array, ahead_radians: float = math.nan) -> tuple[float, float]:
+    """Return pitch and roll, radians, from the floor's upward unit normal in optical axes."""
+    if math.isnan(ahead_radians):
+        return math.asin(float(np.clip(-up[2], -1.0, 1.0))), math.atan2(-up[0], -up[1])
+    cos_ahead, sin_ahead = math.cos(ahead_radians), math.sin(ahead_radians)
+    right = cos_ahead * up[0] + sin_ahead * up[1]
+    down = cos_ahead * up[1] - sin_ahead * up[0]
+    return math.atan2(-up[2], -down), math.asin(float(np.clip(-right, -1.0, 1.0)))
+
+
+def _about_x(radians: float) -> Float64Array:
+    cosine, sine = math.cos(radians), math.sin(radians)
+    return np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]])
 
 
 def image_from_robot_homography(
@@ -28,6 +52,7 @@ def image_from_robot_homography(
     height_metres: float,
     pitch_radians: float,
     roll_radians: float,
+    ahead_radians: float = math.nan,
 ) -> Float64Array:
     """Return the (3, 3) homography from floor metres to undistorted pixels.
 
@@ -35,9 +60,9 @@ def image_from_robot_homography(
     ``K R^T (x, y, -height)`` (Hartley and Zisserman, Multiple View Geometry, 8.1). The third
     coordinate is the depth along the optical axis: positive in front of the camera.
     """
-    camera_from_robot = robot_from_camera_rotation(pitch_radians, roll_radians).T
+    rotation = robot_from_camera_rotation(pitch_radians, roll_radians, ahead_radians)
     plane = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -height_metres]])
-    homography: Float64Array = camera_matrix @ camera_from_robot @ plane
+    homography: Float64Array = camera_matrix @ rotation.T @ plane
     return homography
 
 
@@ -46,10 +71,13 @@ def compose_robot_from_image(
     height_metres: float,
     pitch_radians: float,
     roll_radians: float,
+    ahead_radians: float = math.nan,
 ) -> Float64Array:
     """Return the (3, 3) homography from undistorted pixels to floor metres."""
     return invert(
-        image_from_robot_homography(camera_matrix, height_metres, pitch_radians, roll_radians)
+        image_from_robot_homography(
+            camera_matrix, height_metres, pitch_radians, roll_radians, ahead_radians
+        )
     )
 
 
@@ -70,7 +98,9 @@ def rocked(calibration: Calibration, rocking: Rocking) -> Calibration:
         height_metres=height,
         pitch_radians=pitch,
         roll_radians=roll,
-        robot_from_image=compose_robot_from_image(calibration.camera_matrix, height, pitch, roll),
+        robot_from_image=compose_robot_from_image(
+            calibration.camera_matrix, height, pitch, roll, calibration.ahead_radians
+        ),
     )
 
 

@@ -69,7 +69,9 @@ def _box_faces(
 
 def _project(points: Float64Array, calibration: Calibration) -> Float64Array | None:
     """Project (N, 3) robot points, metres, to pixels; None when one is not well ahead."""
-    rotation = robot_from_camera_rotation(calibration.pitch_radians, calibration.roll_radians)
+    rotation = robot_from_camera_rotation(
+        calibration.pitch_radians, calibration.roll_radians, calibration.ahead_radians
+    )
     rays = (points - (0.0, 0.0, calibration.height_metres)) @ rotation
     if rays[:, 2].min() < 0.05:
         return None

@@ -54,7 +54,9 @@ def tilted(
     roll = calibration.roll_radians + roll_radians
     return replace(
         calibration,
-        robot_from_image=compose_robot_from_image(calibration.camera_matrix, height, pitch, roll),
+        robot_from_image=compose_robot_from_image(
+            calibration.camera_matrix, height, pitch, roll, calibration.ahead_radians
+        ),
         height_metres=height,
         pitch_radians=pitch,
         roll_radians=roll,

@@ -79,7 +79,9 @@ def changed(calibration: Calibration, change: Float64Array) -> Calibration:
         distortion=distortion,
         pitch_radians=pitch,
         roll_radians=roll,
-        robot_from_image=compose_robot_from_image(matrix, calibration.height_metres, pitch, roll),
+        robot_from_image=compose_robot_from_image(
+            matrix, calibration.height_metres, pitch, roll, calibration.ahead_radians
+        ),
     )
 
 
@@ -190,7 +192,7 @@ def _mounting(calibration: Calibration, rocking: Rocking) -> tuple[float, float,
 
 def _to_floor(calibration: Calibration, rocking: Rocking, rays: Float64Array) -> _FloorPoints:
     pitch, roll, height = _mounting(calibration, rocking)
-    rotation = robot_from_camera_rotation(pitch, roll)
+    rotation = robot_from_camera_rotation(pitch, roll, calibration.ahead_radians)
     ahead = np.column_stack([rays, np.ones(len(rays))])
     x, y, z = rotation @ ahead.T
     seen = z < 0.0
@@ -199,30 +201,32 @@ def _to_floor(calibration: Calibration, rocking: Rocking, rays: Float64Array) ->
     by_direction = np.zeros((len(rays), 2, 3))
     by_direction[:, 0, 0] = by_direction[:, 1, 1] = -height / down
     by_direction[:, :, 2] = -points / down[:, None]
-    turned = _by_rotation(pitch, np.column_stack([x, y, z]))
+    axes = _tilt_axes(calibration, pitch, roll)
+    turned = _by_rotation(axes, np.column_stack([x, y, z]))
     by_mounting = np.concatenate([by_direction @ turned, points[:, :, None]], axis=2)
     return _FloorPoints(points, seen, by_direction @ rotation[:, :2], by_mounting)
 
 
-def _by_rotation(pitch: float, directions: Float64Array) -> Float64Array:
-    """Return (N, 3, 2): how directions in the robot frame change with pitch and roll.
+def _tilt_axes(calibration: Calibration, pitch: float, roll: float) -> Float64Array:
+    """Return (2, 3): the axes in the robot frame about which pitch and roll turn.
 
-    Pitch turns about the robot's y, after roll has turned about the optical axis, whose direction
-    in the robot frame is (cos pitch, 0, -sin pitch).
+    Pitch turns about the robot's y, after roll has turned about the optical axis; or before roll
+    turns about the robot's x, where a direction in the picture points ahead.
     """
-    x, y, z = directions.T
-    across, down = math.cos(pitch), math.sin(pitch)
-    turned = np.zeros((len(directions), 3, 2))
-    turned[:, 0, 0], turned[:, 2, 0] = z, -x
-    turned[:, 0, 1] = down * y
-    turned[:, 1, 1] = -down * x - across * z
-    turned[:, 2, 1] = across * y
-    return turned
+    if math.isnan(calibration.ahead_radians):
+        return np.array([[0.0, 1.0, 0.0], [math.cos(pitch), 0.0, -math.sin(pitch)]])
+    return np.array([[0.0, math.cos(roll), math.sin(roll)], [1.0, 0.0, 0.0]])
+
+
+def _by_rotation(axes: Float64Array, directions: Float64Array) -> Float64Array:
+    """Return (N, 3, 2): how directions in the robot frame change with pitch and roll."""
+    return np.stack([np.cross(axis, directions) for axis in axes], axis=2)
 
 
 def _to_ray(calibration: Calibration, rocking: Rocking, points: Float64Array) -> _FloorRays:
     pitch, roll, height = _mounting(calibration, rocking)
-    rotation = robot_from_camera_rotation(pitch, roll)
+    rotation = robot_from_camera_rotation(pitch, roll, calibration.ahead_radians)
+    axes = _tilt_axes(calibration, pitch, roll)
     directions = np.column_stack([points, np.full(len(points), -height)])
     optical = directions @ rotation
     seen = optical[:, 2] > 0.0
@@ -233,7 +237,7 @@ def _to_ray(calibration: Calibration, rocking: Rocking, points: Float64Array) ->
     by_optical[:, :, 2] = -rays / depth[:, None]
     by_direction = by_optical @ rotation.T
     # As the camera turns, directions in its frame turn the other way.
-    turned = -_by_rotation(pitch, directions)
+    turned = -_by_rotation(axes, directions)
     sunk = np.zeros((len(points), 3, 1))
     sunk[:, 2, 0] = -height
     by_mounting = by_direction @ np.concatenate([turned, sunk], axis=2)

@@ -47,6 +47,7 @@ def shown_from_floor(calibration: Calibration, mounting: Float64Array) -> Float6
         calibration.height_metres + float(mounting[2]),
         calibration.pitch_radians + float(mounting[0]),
         calibration.roll_radians + float(mounting[1]),
+        calibration.ahead_radians,
     )
     shown = calibration.robot_from_image @ tilted
     return np.asarray(shown / shown[2, 2])
