@@ -22,6 +22,7 @@ import numpy as np
 
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.footprint import seen_floor
+from slamcli.core.camera.lens import distort_points, undistort_points
 from slamcli.core.errors import SlamcliError
 from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.io.calibrations import load_calibration, save_calibration
@@ -46,6 +47,7 @@ class Photo:
     white: bool
     side_metres: float
     place: list[float]
+    board: tuple[int, int] = BOARD
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,7 @@ def render(target: str, photo: Photo, seed: int) -> tuple[np.ndarray, Calibratio
 def true_points(target: str, photo: Photo) -> tuple[np.ndarray, float]:
     """Return the (N, 2) floor points that calibrate, metres, and the length that --side takes."""
     if target == "chessboard":
-        columns, rows = BOARD
+        columns, rows = photo.board
         field = photo.side_metres / (columns + 3)
         column, row = np.meshgrid(np.arange(columns), np.arange(rows))
         grid = np.column_stack([column.ravel() - (columns - 1) / 2, (rows - 1) / 2 - row.ravel()])
@@ -159,7 +161,7 @@ def measure(
     pixels = apply_homography(true.image_from_robot, floor)
     error = _matched(found.points.pixels, pixels)
     nees = float(error.ravel() @ np.linalg.solve(found.points.covariance, error.ravel()))
-    ratio = _distance_ratios(true, calibration)
+    ratio = distance_ratios(true, calibration)
     numbers = [
         (mounting.focal_pixels, float(true.camera_matrix[0, 0])),
         (mounting.height_metres, true.height_metres),
@@ -182,12 +184,12 @@ def measure(
     )
 
 
-def _distance_ratios(true: Calibration, found: Calibration) -> np.ndarray:
+def distance_ratios(true: Calibration, found: Calibration) -> np.ndarray:
     """Return by which shares distances between points of the floor in view come out too long."""
     points = seen_floor(true)
     points = points[:: max(1, len(points) // 200)]
-    pixels = apply_homography(true.image_from_robot, points)
-    measured = apply_homography(found.robot_from_image, pixels)
+    pixels = distort_points(true, apply_homography(true.image_from_robot, points))
+    measured = apply_homography(found.robot_from_image, undistort_points(found, pixels))
     first, second = np.triu_indices(len(points), 1)
     length = np.linalg.norm(points[first] - points[second], axis=1)
     apart = length > 0.3 * length.max()
@@ -219,7 +221,7 @@ def _decals(target: str, photo: Photo) -> list[object]:
         return [Decal(_outline(photo.side_metres, photo.place), gray)]
     decals = [Decal(_outline(photo.side_metres, photo.place), WHITE_GRAY)]
     if target == "chessboard":
-        columns, rows = BOARD
+        columns, rows = photo.board
         field = photo.side_metres / (columns + 3)
         cells = [
             (column + 1 - columns / 2, row + 1 - rows / 2, BLACK_GRAY)

@@ -54,6 +54,13 @@ _target_options = stacked(
         "The lens: a ROS camera_info YAML. Camera matrix and distortion.",
     ),
     _target(
+        "ahead",
+        "--ahead",
+        click.Choice(["up", "right", "down", "left"]),
+        "Direction in the picture that is ahead. Default: the optical axis, or up where the camera "
+        "looks about straight down.",
+    ),
+    _target(
         "gamma",
         "--gamma",
         Gamma(),

@@ -64,6 +64,7 @@ def _floor_from_floor_changes(calibration: Calibration) -> Float64Array:
             calibration.height_metres * math.exp(change[1]),
             calibration.pitch_radians + change[2],
             calibration.roll_radians + change[3],
+            calibration.ahead_radians,
         )
 
     changes = _STEP * np.eye(PARAMETERS)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -50,6 +52,14 @@ _MAX_BOW_PIXELS = 0.5
 _COMPARED_FEATURES = 20_000
 _YAML_SUFFIXES = {".yaml", ".yml"}
 
+Ahead = Literal["up", "right", "down", "left"]
+AHEAD_RADIANS: dict[Ahead, float] = {
+    "up": 0.0,
+    "right": math.pi / 2,
+    "down": math.pi,
+    "left": -math.pi / 2,
+}
+
 
 @dataclass(frozen=True, slots=True)
 class CalibrateOptions:
@@ -73,6 +83,9 @@ class CalibrateOptions:
         Far limit; chosen by the sampling when None.
     gamma : Gamma
         How the photos' values encode light.
+    ahead : Ahead or None
+        Direction in the picture that points ahead; None for the optical axis, or the picture's up
+        where the camera looks about straight down.
     """
 
     side_metres: float
@@ -83,6 +96,12 @@ class CalibrateOptions:
     intrinsics_path: Path | None = None
     max_range_metres: float | None = None
     gamma: Gamma = "srgb"
+    ahead: Ahead | None = None
+
+    @property
+    def ahead_radians(self) -> float | None:
+        """That direction, clockwise from the picture's up."""
+        return None if self.ahead is None else AHEAD_RADIANS[self.ahead]
 
 
 def calibrate(
@@ -183,9 +202,11 @@ def _calibrate(photo: Path, options: CalibrateOptions, intrinsics: Intrinsics | 
         )
     target = find_target(image, options, intrinsics)
     if intrinsics is None:
-        mounting = solving.solve_mounting(target.points, size)
+        mounting = solving.solve_mounting(target.points, size, None, options.ahead_radians)
     else:
-        mounting = solving.solve_mounting_with_intrinsics(target.points, intrinsics)
+        mounting = solving.solve_mounting_with_intrinsics(
+            target.points, intrinsics, options.ahead_radians
+        )
     calibration = solving.make_calibration(mounting, size, intrinsics, options.max_range_metres)
     floor = seen_floor(calibration)
     area, resolved = floor_areas(calibration)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,8 @@ RESOLVED_METRES_PER_PIXEL = 0.002
 _EQUAL_SHARE = 0.05
 # A smaller residual is not reported, however small its sigma.
 _MAX_RESIDUAL_PIXELS = 0.3
+# A camera that is rolled by more is named: upside down, or on its side.
+_MAX_USUAL_ROLL_RADIANS = math.radians(45.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,6 +153,9 @@ def describe(result: Result) -> list[str]:
     mounting, calibration, target = result.mounting, result.calibration, result.target
     sigma = np.degrees(mounting.sigmas[2:])
     focal = f"focal length {mounting.focal_pixels:.1f} ± {mounting.sigmas[0]:.1f} px, "
+    if np.any(mounting.radial):
+        pairs = zip(("k1", "k2"), mounting.radial, mounting.radial_sigmas, strict=True)
+        focal += "".join(f"{name} {value:.4f} ± {sigma:.4f}, " for name, value, sigma in pairs)
     sampling = "; ".join(f"{_cell(value)} at {name}" for name, value in _sampling(result))
     misfit = []
     if (
@@ -168,9 +174,33 @@ def describe(result: Result) -> list[str]:
         f"one pixel covers, mm of floor along x across the line of sight: {sampling}",
         f"floor kept: {result.area:.3f} m², {result.near_metres:.2f} to "
         f"{calibration.max_range_metres:.2f} m; ORB points in it: {result.feature_count}",
-        *[f"note: {note}" for note in target.notes],
+        *[f"note: {note}" for note in (*target.notes, *_mounting_notes(result))],
         *misfit,
     ]
+
+
+def _mounting_notes(result: Result) -> list[str]:
+    """Return what the user should know of an unusual mounting."""
+    mounting, calibration = result.mounting, result.calibration
+    notes = []
+    if mounting.focal_assumed:
+        share = mounting.sigmas[0] / mounting.focal_pixels
+        notes.append(
+            f"the {result.target.name}, seen from about straight above, does not show the focal "
+            f"length: {mounting.focal_pixels:.0f} px ± {share:.0%} is assumed. Lengths on the "
+            "floor are right all the same, the height is not; for it give --intrinsics "
+            "camera_info.yaml, or a photo from a slant"
+        )
+    if not math.isnan(mounting.ahead_radians):
+        degrees = math.degrees(mounting.ahead_radians)
+        word = {0.0: "up", 90.0: "right", 180.0: "down", -90.0: "left"}[round(degrees, 6)]
+        notes.append(f"ahead (x) is the picture's {word}; --ahead says otherwise")
+    elif abs(calibration.roll_radians) > _MAX_USUAL_ROLL_RADIANS:
+        notes.append(
+            f"the camera is rolled by {math.degrees(calibration.roll_radians):.0f}° about its "
+            "axis: upside down, or on its side"
+        )
+    return notes
 
 
 def _cell(sampling: Float64Array | None) -> str:

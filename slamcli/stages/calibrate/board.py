@@ -47,9 +47,15 @@ def find_chessboard(
     gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     corners = _detect(np.asarray(gray, np.uint8), columns, rows)
     if corners is None:
+        if _detect(np.asarray(gray, np.uint8), columns - 1, rows - 1) is not None:
+            raise CalibrationError(
+                f"the photo shows a chessboard of {columns}x{rows} fields; give its inner corners, "
+                f"where four fields meet: --chessboard {columns - 1}x{rows - 1}"
+            )
         raise CalibrationError(
             f"no chessboard with {columns}x{rows} inner corners found in the photo; count only the "
-            "corners where four fields meet, and keep the whole board in view"
+            "corners where four fields meet, and keep the whole board, with its white margin, in "
+            "view"
         )
     light = np.asarray(cv2.cvtColor(light_of_image(image, gamma), cv2.COLOR_BGR2GRAY), np.float32)
     grid = _near_crossings(light, corners.reshape(rows, columns, 2))
@@ -70,6 +76,8 @@ def _detect(gray: UInt8Array, columns: int, rows: int) -> Float32Array | None:
     those that are blurred or unevenly lit.
     """
     size = (columns, rows)
+    if min(size) < 3:
+        return None
     found, corners = cv2.findChessboardCorners(gray, size)
     if not found:
         flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Intrinsics
 from slamcli.core.camera.lens import image_centre
+from slamcli.core.camera.mounting import tilt
 from slamcli.core.errors import CalibrationError
 from slamcli.core.geometry import apply_homography, invert
 
@@ -22,6 +23,9 @@ from slamcli.core.geometry import apply_homography, invert
 # from side to side [guarded by tests/stages/test_square.py and tests/run/test_calibrate.py].
 FOCAL_RANGE_WIDTHS = (0.3, 4.0)
 _SEARCH_STEPS = 33
+# A wall's rectangle looks like a floor seen from straight above, one of a ceiling like a floor seen
+# by a camera that is upside down: so much less plausible are these than a camera that looks ahead.
+_UNUSUAL_SHARE = 0.25
 
 
 def square_target(side_metres: float) -> Float64Array:
@@ -182,16 +186,18 @@ def floor_axes(columns: Float64Array) -> tuple[Float64Array, float]:
     return normal / np.linalg.norm(normal), scale
 
 
-def tilt(up: Float64Array) -> tuple[float, float]:
-    """Return pitch and roll, radians, from the upward normal in optical axes (x right, y down)."""
-    return math.asin(float(np.clip(-up[2], -1.0, 1.0))), math.atan2(-up[0], -up[1])
-
-
 def _plausible(pitch_radians: float, roll_radians: float) -> float:
-    """Return how plausible a mounting is, in [0, 1]: pitch 5 to 75 degrees, about level."""
+    """Return how plausible a mounting is, in [0, 1]: most look ahead, pitch 5 to 65 degrees, level.
+
+    One that looks about straight down, where the roll means nothing, or that is rolled by quarter
+    turns, is as likely as this says where no other square is seen.
+    """
     pitch, roll = math.degrees(pitch_radians), math.degrees(roll_radians)
-    outside = max(5.0 - pitch, pitch - 75.0, 0.0)
-    return math.exp(-0.5 * ((outside / 6.0) ** 2 + (roll / 15.0) ** 2))
+    level = math.exp(-0.5 * (max(5.0 - pitch, pitch - 75.0, 0.0) / 6.0) ** 2)
+    usual = level * math.exp(-0.5 * (roll / 15.0) ** 2)
+    rolled = level * math.exp(-0.5 * (math.remainder(roll, 90.0) / 15.0) ** 2)
+    steep = math.exp(-0.5 * (max(75.0 - pitch, 0.0) / 6.0) ** 2)
+    return max(usual, _UNUSUAL_SHARE * max(rolled, steep))
 
 
 def _normalising(points: Float64Array) -> Float64Array:

@@ -92,7 +92,7 @@ def find_squares(
             )
     raise CalibrationError(
         "no square found on the floor in the photo; give its four corners with "
-        '--corners "x,y x,y x,y x,y"'
+        '--corners "x,y x,y x,y x,y", or name what lies there with --chessboard or --aruco'
     )
 
 
