@@ -107,7 +107,7 @@ def drive(world: World, backend: Backend) -> list[Cost]:
     index, costs = PlaceIndex(), []
     for number in range(len(world.poses)):
         features = world.look(number)
-        prepared = PreparedFrame(number, str(number), number / FRAMES_A_SECOND, None, features, "")
+        prepared = PreparedFrame(number, str(number), number / FRAMES_A_SECOND, None, None)
         links = [world.link(a, number) for a in range(max(0, number - 3), number)]
         world.sense(backend.sensors, number)
         started = time.process_time()

@@ -26,7 +26,7 @@ _NAMES = {
     ),
     "slamcli.io.calibrations": "load_calibration",
     "slamcli.io.map_file": "load_map",
-    "slamcli.mapping.localizer": "Locator",
+    "slamcli.mapping.localizer": "Follower Locator",
     "slamcli.mapping.mapper": "Mapper",
 }
 _MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}

@@ -21,6 +21,7 @@ from slamcli.core.telemetry import OdometryReading as OdometryReading
 from slamcli.core.telemetry import TelemetryOptions as TelemetryOptions
 from slamcli.io.calibrations import load_calibration as load_calibration
 from slamcli.io.map_file import load_map as load_map
+from slamcli.mapping.localizer import Follower as Follower
 from slamcli.mapping.localizer import Locator as Locator
 from slamcli.mapping.mapper import Mapper as Mapper
 

@@ -8,8 +8,16 @@ from typing import Any
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
+from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import FeatureAlignment, PreparedFrame, PyramidLevel
+from slamcli.core.records import (
+    NO_PERIODS,
+    FeatureAlignment,
+    NormalisedDetail,
+    PreparedFrame,
+    PyramidLevel,
+    Template,
+)
 from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair
 from slamcli.stages import dense
 
@@ -24,12 +32,8 @@ def level_of(metres_per_pixel: float = 0.01, points: int = 4) -> PyramidLevel:
         detail=real,
         inside=byte,
         weight=real,
-        points=np.zeros((points, 2)),
-        values=np.zeros(points),
-        gradients=np.zeros((points, 2)),
-        noise_gray=0.0,
-        normalised=real,
-        energy=0.0,
+        template=Deferred.of(Template(np.zeros((points, 2)), np.zeros((5, points)))),
+        contrast=Deferred.of(NormalisedDetail(real, 0.0)),
         frame_noise_gray=0.0,
     )
 
@@ -49,7 +53,7 @@ def frame_of(index: int = 0, repeats: Float64Array | None = None) -> PreparedFra
         None,
         None,
         levels=levels,
-        repeats=np.empty((0, 2)) if repeats is None else repeats,
+        periodicity=NO_PERIODS if repeats is None else Deferred.of(repeats),
     )
 
 

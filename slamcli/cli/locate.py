@@ -24,6 +24,11 @@ from slamcli.core.config import FrameSelection
 @common.json_output
 @click.option("--strict", is_flag=True, help="Exit 3 when any frame is lost.")
 @selection_options
+@click.option(
+    "--follow",
+    is_flag=True,
+    help="The frames are of one drive, in order: each is looked for first where it is expected.",
+)
 @common.workers
 @common.overwrite
 def locate(
@@ -32,6 +37,7 @@ def locate(
     output: Path | None,
     as_json: bool,
     strict: bool,
+    follow: bool,
     workers: int | None,
     overwrite: bool,
     **flags: Any,
@@ -39,7 +45,7 @@ def locate(
     """Find where frames lie in a finished map (relocalisation).
 
     MAP is a folder that `slam stitch` wrote, or the map.slam in it. Each frame is located by
-    itself, without those before it. The exit code is 1 when none of
+    itself, without those before it, unless --follow is given. The exit code is 1 when none of
     them lies in the map, 3 when most do not.
     """
     from slamcli.cli.progress import open_session
@@ -53,6 +59,7 @@ def locate(
             overwrite=overwrite,
             strict=strict,
             selection=filled(FrameSelection(), flags),
+            follow=follow,
             session=session,
         )
     result(report.json if as_json else "\n".join(report.lines))

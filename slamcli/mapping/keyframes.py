@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import UInt8Array
+from slamcli.core.deferred import Deferred
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid
 from slamcli.core.records import Features, Keyframe, PreparedFrame
@@ -150,9 +151,11 @@ def _decode_keyframe(
         keyframe.name,
         keyframe.stamp,
         None,
-        features,
+        Deferred.of(features),
         "",
         levels,
+        (),
+        Deferred(partial(dense.find_periods, levels[-1])),
     )
 
 

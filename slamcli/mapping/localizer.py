@@ -1,18 +1,33 @@
-"""Localisation of single frames in a finished map."""
+"""Localisation in a finished map: of single frames, and of a robot that is followed."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from slamcli.core.arrays import UInt8Array
+from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.failures import FAILURES, logged
-from slamcli.core.records import FloorMap, Frame, PoseEstimate, PreparedFrame
-from slamcli.mapping.backend.pose_graph import PoseGraph, lost
+from slamcli.core.geometry import Pose2, relative_poses
+from slamcli.core.records import FloorMap, Frame, Link, PoseEstimate, PreparedFrame
+from slamcli.mapping.backend.pose_graph import PoseGraph, PoseGraphReader, lost
 from slamcli.mapping.keyframes import KeyframeDatabase
 from slamcli.mapping.locks import ReentrantLock
 from slamcli.mapping.preprocessing import Preprocessor
 from slamcli.mapping.relocalization import Relocalizer
+from slamcli.registration.rivals import is_expected
+from slamcli.stages import covisibility, dense
+
+# Metres and radians: what a robot's own motion model leaves open after a step or two.
+_SIGMA = (0.05, 0.05)
+# Keyframes about an expected pose that are tried, and the share of the frame's floor that they see
+# [guarded by tests/mapping/test_localizer.py].
+_MAX_KEYFRAMES = 2
+_MIN_OVERLAP = 0.4
+# After this many lost frames the robot may be anywhere.
+_MAX_FRAMES_LOST = 10
 
 
 class Locator:
@@ -42,14 +57,27 @@ class Locator:
             database.add(keyframe)
         for estimate in floor_map.estimates:
             self._graph.set_estimate(estimate)
+        self._options = options
+        self._near = NearKeyframes(floor_map.calibration, database, self._graph)
         self._count, self._lock = 0, ReentrantLock()
 
-    def locate(self, frame: Frame | UInt8Array) -> PoseEstimate:
+    def locate(
+        self,
+        frame: Frame | UInt8Array,
+        near: Pose2 | None = None,
+        sigma: tuple[float, float] = _SIGMA,
+    ) -> PoseEstimate:
         """Return where a frame is on the map; lost, with the reason, when it is not there.
 
         Parameters
         ----------
         frame : Frame, or (H, W[, 3]) uint8 BGR or gray pixels
+        near : Pose2 or None
+            ``map_from_robot`` as expected: the keyframes there are tried first, which takes a
+            fraction of the time; then the whole map.
+        sigma : (float, float)
+            Of that expectation, metres and radians. A frame that is found elsewhere all the same is
+            given where it is found.
 
         Returns
         -------
@@ -61,21 +89,145 @@ class Locator:
             with self._lock:
                 frame = Frame(self._count, f"frame {self._count}", None, frame)
                 self._count += 1
-        return self.place(self.prepare(frame))
+        return self.place(self.prepare(frame), near, sigma)
 
     def prepare(self, frame: Frame) -> PreparedFrame:
         """Compute all that needs no map; may run ahead on any thread. Never raises."""
         return self._preprocessor.prepare(frame)
 
-    def place(self, prepared: PreparedFrame) -> PoseEstimate:
+    def place(
+        self,
+        prepared: PreparedFrame,
+        near: Pose2 | None = None,
+        sigma: tuple[float, float] = _SIGMA,
+    ) -> PoseEstimate:
         """Return where a prepared frame is on the map, as `locate`."""
-        if prepared.features is None:
+        if prepared.extraction is None:
             return lost(prepared, prepared.reason)
         try:
-            candidates = self._relocalizer.query(prepared.features)
-            found = self._relocalizer.verify(prepared, candidates, self._graph)
-            if found.link is None:
-                return lost(prepared, found.reason)
-            return self._graph.predict_pose(prepared, [found.link])
+            link = None if near is None else self._link_near(prepared, near, sigma)
+            if link is None:
+                assert prepared.features is not None
+                candidates = self._relocalizer.query(prepared.features)
+                found = self._relocalizer.verify(prepared, candidates, self._graph)
+                if found.link is None:
+                    return lost(prepared, found.reason)
+                link = found.link
+            return self._graph.predict_pose(prepared, [link])
         except FAILURES as error:
             return lost(prepared, f"cannot be located: {logged(error)}")
+
+    def _link_near(
+        self, prepared: PreparedFrame, near: Pose2, sigma: tuple[float, float]
+    ) -> Link | None:
+        """Return the link from a keyframe near an expected pose; None where none is proven."""
+        metres, radians = sigma
+        covariance = np.diag([metres, metres, radians]) ** 2
+        nearest = self._near.find(near)
+        for index, expected in nearest:
+            prior = dense.MotionPrior(expected, covariance)
+            result = self._relocalizer.track(index, prepared, prior)
+            if result is not None:
+                return result.link
+        for index, expected in nearest[:1]:
+            prior = dense.MotionPrior(expected, covariance)
+            found = self._relocalizer.register(index, prepared, expected, prior)
+            if self._relocalizer.is_reliable(found) and found.link is not None:
+                return found.link if is_expected(prior, found.link.a_from_b) else None
+        return None
+
+
+class Follower:
+    """Follows a robot in a finished map: each frame is located near where it is expected.
+
+    By the latest motion, or by the robot's own odometry; a frame that is not found there is looked
+    for on the whole map. `update` never raises.
+
+    Parameters
+    ----------
+    locator : Locator
+    """
+
+    def __init__(self, locator: Locator) -> None:
+        self._locator = locator
+        self._pose: Pose2 | None = None
+        self._motion = Pose2()
+        self._since = 0
+
+    def update(self, frame: Frame | UInt8Array, motion: Pose2 | None = None) -> PoseEstimate:
+        """Return where the next frame is on the map; lost, with the reason, when it is not there.
+
+        Parameters
+        ----------
+        frame : Frame, or (H, W[, 3]) uint8 BGR or gray pixels
+        motion : Pose2 or None
+            ``before_from_now`` by odometry; None repeats the latest motion.
+        """
+        near, sigma = self._expected(motion)
+        return self._follow(self._locator.locate(frame, near, sigma))
+
+    def place(self, prepared: PreparedFrame) -> PoseEstimate:
+        """Return where a frame that `Locator.prepare` prepared is, as `update`."""
+        near, sigma = self._expected(None)
+        return self._follow(self._locator.place(prepared, near, sigma))
+
+    def _expected(self, motion: Pose2 | None) -> tuple[Pose2 | None, tuple[float, float]]:
+        """Return the next frame's pose as expected, with its sigmas; None where it is not known."""
+        if motion is not None:
+            self._motion = motion
+        if self._pose is None or self._since >= _MAX_FRAMES_LOST:
+            return None, _SIGMA
+        self._pose = self._pose @ self._motion
+        self._since += 1
+        metres, radians = _SIGMA
+        metres = max(metres, self._motion.translation_length)
+        return self._pose, (
+            self._since * metres,
+            self._since * max(radians, abs(self._motion.theta)),
+        )
+
+    def _follow(self, estimate: PoseEstimate) -> PoseEstimate:
+        found = estimate.map_from_robot
+        if found is not None:
+            if self._pose is not None and self._since == 1:
+                before = self._pose @ self._motion.inverse()
+                self._motion = before.inverse() @ found
+            else:
+                self._motion = Pose2()
+            self._pose, self._since = found, 0
+        return estimate
+
+
+class NearKeyframes:
+    """The keyframes of a map that see the floor at a pose, by the map's poses.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    database : KeyframeDatabase
+    graph : PoseGraphReader
+        Finished: poses do not change.
+    """
+
+    def __init__(
+        self, calibration: Calibration, database: KeyframeDatabase, graph: PoseGraphReader
+    ) -> None:
+        self._footprint = covisibility.Footprint(calibration)
+        self._indices = [index for index in database.order if graph.is_placed(index)]
+        poses = [graph.pose(index) for index in self._indices]
+        self._poses = np.array([(p.x, p.y, p.theta) for p in poses]).reshape(-1, 3)
+
+    def find(self, near: Pose2) -> list[tuple[int, Pose2]]:
+        """Return a few keyframes, most overlap first, each with ``keyframe_from_robot``."""
+        here = np.array([near.x, near.y, near.theta])
+        apart = np.linalg.norm(self._poses[:, :2] - here[:2], axis=1)
+        reach = 2.0 * (self._footprint.radius_metres + np.linalg.norm(self._footprint.centre))
+        close = np.flatnonzero(apart < reach)
+        motions = relative_poses(self._poses[close], here)
+        shares = self._footprint.overlaps(motions)
+        best = np.argsort(-shares, kind="stable")[:_MAX_KEYFRAMES]
+        return [
+            (self._indices[close[number]], Pose2(*motions[number].tolist()))
+            for number in best
+            if shares[number] >= _MIN_OVERLAP
+        ]

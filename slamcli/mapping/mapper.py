@@ -189,15 +189,17 @@ class Mapper:
 
     def _step(self, prepared: PreparedFrame) -> PoseEstimate:
         """Place a frame of a new index."""
-        if prepared.view is None or prepared.features is None:
+        if prepared.view is None:
             return self._backend.add_lost(prepared, prepared.reason)
         before, self._tracking.latest = self._tracking.latest, prepared
         if before is not None and _same_picture(before, prepared):
             return self._backend.add_duplicate(before, prepared)
-        found, needed = len(prepared.features), self.options.matching.min_inliers
-        if found < needed and not self.options.dense:
-            reason = f"{found} features; at least {needed} are needed"
-            return self._backend.add_lost(prepared, reason)
+        if not self.options.dense:
+            assert prepared.features is not None
+            found, needed = len(prepared.features), self.options.matching.min_inliers
+            if found < needed:
+                reason = f"{found} features; at least {needed} are needed"
+                return self._backend.add_lost(prepared, reason)
         self._registrations = self._tracker.track(prepared, before)
         if any(result.link is not None for result in self._registrations):
             return self._insert(prepared, self._registrations)

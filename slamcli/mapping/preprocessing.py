@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.footprint import MAX_REGISTRATION_PIXELS, check_metres_per_pixel
 from slamcli.core.config import MapperOptions
+from slamcli.core.deferred import Deferred
 from slamcli.core.errors import FrameError
 from slamcli.core.failures import FAILURES, logged
 from slamcli.core.geometry import Grid
@@ -62,9 +64,13 @@ class Preprocessor:
             views = view.make_compared_views(frame, self._resamplers)
             near = views[0]
             view.check_view(near)
-            found = features.extract(near, self._calibration, self._features, self._tilt_radians)
+            extraction = Deferred(
+                partial(
+                    features.extract, near, self._calibration, self._features, self._tilt_radians
+                )
+            )
             # With a mask of its own, a frame's views have other masks than the camera's.
-            return assemble(frame, views, found, self._masks if frame.mask is None else None)
+            return assemble(frame, views, extraction, self._masks if frame.mask is None else None)
         except FrameError as error:
             reason = str(error)
         except FAILURES as error:

@@ -18,7 +18,7 @@ from slamcli.core.geometry import Pose2
 from slamcli.core.records import Features, Link, PreparedFrame
 from slamcli.mapping.backend.pose_graph import PoseGraphReader
 from slamcli.mapping.keyframes import KeyframeDatabase
-from slamcli.registration import RegistrationResult, register
+from slamcli.registration import RegistrationResult, direct, register
 from slamcli.stages import dense
 from slamcli.stages.place_index import PlaceCandidate
 
@@ -105,6 +105,17 @@ class Relocalizer:
         if share < (_MIN_CONFIRMED_BY_MANY if many else _MIN_CONFIRMED):
             reason = f"only {share:.0%} of the floor is unchanged (to {keyframe.name})"
             return replace(result, link=None, reason=reason)
+        return replace(result, link=replace(result.link, kind="loop"))
+
+    def track(
+        self, a: int, prepared: PreparedFrame, prior: dense.MotionPrior
+    ) -> RegistrationResult | None:
+        """Register a frame to a keyframe by pixels alone, from where it is expected; else None."""
+        keyframe = self.database.decode(a)
+        expected = prior.a_from_b
+        result = direct.track(keyframe, prepared, expected, self._calibration, self._options, prior)
+        if result is None or result.link is None or result.confirmed < _MIN_CONFIRMED:
+            return None
         return replace(result, link=replace(result.link, kind="loop"))
 
     def is_reliable(self, result: RegistrationResult) -> bool:

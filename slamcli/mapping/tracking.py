@@ -8,7 +8,7 @@ from slamcli.core.geometry import Pose2
 from slamcli.core.records import PreparedFrame
 from slamcli.mapping.motion_model import MotionModel
 from slamcli.mapping.tracking_state import TrackingState
-from slamcli.registration import RegistrationResult, register
+from slamcli.registration import RegistrationResult, direct, register
 from slamcli.stages import dense
 
 # A second link confirms the first, however little floor it shares. A third that shares less than
@@ -72,7 +72,10 @@ class Tracker:
                 min_overlap = _MIN_OVERLAP_OF_THIRD if third else self._options.min_overlap
                 if guess is None or _overlap(keyframe, prepared, guess) < min_overlap:
                     continue
-            results.append(self.register(keyframe, prepared, guess))
+            results.append(
+                self._track_directly(keyframe, prepared, guess)
+                or self.register(keyframe, prepared, guess)
+            )
         if any(result.link is not None for result in results):
             return results
         return results + self._track_by_pixels(prepared, before)
@@ -101,6 +104,16 @@ class Tracker:
         calibration, options = self._calibration, self._options
         prior = self._motion_model.prior(keyframe, prepared)
         return register(keyframe, prepared, guess, calibration, options, window=window, prior=prior)
+
+    def _track_directly(
+        self, keyframe: PreparedFrame, prepared: PreparedFrame, guess: Pose2 | None
+    ) -> RegistrationResult | None:
+        """Register a frame by pixels alone from where it is expected; None where that fails."""
+        options, prior = self._options, self._motion_model.prior(keyframe, prepared)
+        if prior is None or not (options.dense and options.refine):
+            return None
+        start = prior.a_from_b if guess is None else guess
+        return direct.track(keyframe, prepared, start, self._calibration, options, prior)
 
     def _track_by_pixels(
         self, prepared: PreparedFrame, before: PreparedFrame | None

@@ -101,7 +101,7 @@ def _match(
 
 
 def _floor_repeats(prepared: PreparedFrame) -> bool:
-    return prepared.repeats is not None and len(prepared.repeats) > 0
+    return len(prepared.repeats) > 0
 
 
 def _refine_features(context: PairContext, near: PyramidPair) -> MotionHypothesis | None:

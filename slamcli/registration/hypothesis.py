@@ -105,6 +105,24 @@ def score_refined(pair: PyramidPair, refined: dense.PhotometricFit) -> MotionHyp
     return replace(scored, rocking_suspected=refined.rocking_suspected)
 
 
+def score_coarsely(pair: PyramidPair, refined: dense.PhotometricFit) -> MotionHypothesis:
+    """Return a refined motion scored as by `score_refined`, its evidence that of the second level.
+
+    Where there is no rival that its evidence would be compared with.
+    """
+    pose, views = refined.a_from_b, refined.view_a_from_view_b
+    middle = dense.evidence(pair.a[1], pair.b[1], pose, views)
+    return MotionHypothesis(
+        pose,
+        refined.covariance,
+        dense.agreement(pair.a[0], pair.b[0], views),
+        middle.evidence,
+        middle.correlation,
+        views,
+        refined.rocking_suspected,
+    )
+
+
 def same_motion(first: Pose2, second: Pose2, pair: PyramidPair) -> bool:
     """Return whether two motions are the same at the resolution of the coarsest level."""
     apart = first.inverse() @ second

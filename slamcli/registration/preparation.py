@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
+from slamcli.core.deferred import Deferred
 from slamcli.core.records import Features, Frame, PreparedFrame, View
 from slamcli.stages import dense
 
@@ -13,10 +15,10 @@ LevelMasks = tuple[dense.LevelMask, ...]
 def assemble(
     frame: Frame,
     views: Sequence[View],
-    found: Features,
+    extraction: Deferred[Features],
     level_masks: Sequence[LevelMasks] | None = None,
 ) -> PreparedFrame:
-    """Return a frame with its views' pyramids, and the shifts by which its floor repeats.
+    """Return a frame with its views' pyramids; its features and periods when they are needed.
 
     Parameters
     ----------
@@ -24,7 +26,7 @@ def assemble(
     views : sequence of View
         Gray, from `make_compared_views`: the one that features are taken from, and the far one
         when the camera sees farther.
-    found : Features
+    extraction : Deferred of Features
         Of the first view.
     level_masks : sequence or None
         From `make_level_masks` of each view's mask, where that was done before.
@@ -36,9 +38,9 @@ def assemble(
         frame.name,
         frame.stamp,
         views[0],
-        found,
+        extraction,
         "",
         levels,
         far[0] if far else (),
-        dense.find_periods(levels[-1]),
+        Deferred(partial(dense.find_periods, levels[-1])),
     )

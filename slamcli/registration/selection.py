@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2, wrap_angle
@@ -208,13 +207,13 @@ class PairContext:
             return (
                 rival.evidence > limit
                 or hypotheses.preferred_by_marks(near, rival, fit)
-                or rivals.is_unmarked(near.a[0], _periods(self.keyframe))
+                or rivals.is_unmarked(near.a[0], self.keyframe.repeats)
             )
         return not hypotheses.preferred(near, fit, rival)
 
     def _suggested(self, fit: Pose2) -> list[Pose2]:
         """Return the motions that the floor and the prior suggest beside a fit."""
-        suggested = rivals.starts(fit, _periods(self.keyframe), _periods(self.prepared))
+        suggested = rivals.starts(fit, self.keyframe.repeats, self.prepared.repeats)
         expected = rivals.is_expected(self.prior, fit)
         starts = [
             start
@@ -276,8 +275,3 @@ class PairContext:
             search,
             partial,
         )
-
-
-def _periods(frame: PreparedFrame) -> Float64Array:
-    """Return the shifts by which a frame's view looks like itself."""
-    return dense.find_periods(frame.levels[-1]) if frame.repeats is None else frame.repeats

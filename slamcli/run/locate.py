@@ -20,7 +20,7 @@ from slamcli.io.frames import list_frames, of_camera
 from slamcli.io.map_file import load_map, map_path
 from slamcli.io.outputs import refuse_existing
 from slamcli.io.poses import write_poses
-from slamcli.mapping.localizer import Locator
+from slamcli.mapping.localizer import Follower, Locator
 from slamcli.run.frame_loop import read_and_prepare
 from slamcli.run.session.session import Session
 
@@ -42,6 +42,7 @@ def locate(
     overwrite: bool,
     strict: bool = False,
     selection: FrameSelection | None = None,
+    follow: bool = False,
     session: Session,
 ) -> LocateReport:
     """Find the frames of folders or files in a map.
@@ -54,6 +55,8 @@ def locate(
         Exit 3 when any frame is lost.
     selection : FrameSelection or None
         Of the frames of a video.
+    follow : bool
+        The frames are of one drive: each is looked for first near where the one before was.
 
     Raises
     ------
@@ -66,7 +69,8 @@ def locate(
     locator = Locator(load_map(floor_map))
     files = of_camera(listed, locator.calibration.image_size)
     work = partial(read_and_prepare, locator.prepare)
-    found = [locator.place(prepared) for prepared in session.stage("locating", work, files)]
+    place = Follower(locator).place if follow else locator.place
+    found = [place(prepared) for prepared in session.stage("locating", work, files)]
     if output is not None:
         write_poses(output, found)
     unit = locator.calibration.unit

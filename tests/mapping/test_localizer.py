@@ -16,6 +16,7 @@ from worlds import make_photographer, take
 import slamcli
 from slamcli.core.exit_codes import ExitCode
 from slamcli.core.geometry import Pose2
+from slamcli.core.records import Frame, PreparedFrame
 from slamcli.io.files import write_image
 from slamcli.io.map_file import load_map, save_map
 from slamcli.simulation import photograph
@@ -166,3 +167,76 @@ def test_the_command_locates_frames(
     half = slam("locate", map_file, *frames[:2])
     assert half.exit_code == ExitCode.DONE
     assert slam("locate", map_file, *frames[:2], "--strict").exit_code == ExitCode.INCOMPLETE
+
+
+def test_a_frame_is_found_near_where_it_is_expected_without_features(
+    photographer: photograph.Photographer, map_file: Path
+) -> None:
+    locator = slamcli.Locator(slamcli.load_map(map_file))
+    truth = Pose2(0.2, 0.01, 0.05)
+    prepared = locator.prepare(Frame(0, "0", None, take(photographer, truth, 100)))
+    estimate = locator.place(prepared, truth @ Pose2(0.008, -0.006, 0.01))
+    assert estimate.map_from_robot is not None, estimate.reason
+    error = truth.inverse() @ estimate.map_from_robot
+    assert error.translation_length < 0.0005
+    assert abs(math.degrees(error.theta)) < 0.1
+    assert (estimate.inliers, prepared.extraction is not None) == (0, True)
+    assert not is_computed(prepared)
+
+
+@pytest.mark.parametrize("expected", [Pose2(0.4, 0.1, 0.5), Pose2(50.0)])
+def test_a_frame_is_found_where_it_is_however_wrong_the_expectation(
+    photographer: photograph.Photographer, map_file: Path, expected: Pose2
+) -> None:
+    locator = slamcli.Locator(slamcli.load_map(map_file))
+    truth = Pose2(0.1)
+    estimate = locator.locate(take(photographer, truth, 100), expected, (0.01, 0.01))
+    assert estimate.map_from_robot is not None, estimate.reason
+    assert (truth.inverse() @ estimate.map_from_robot).translation_length < 0.002
+    elsewhere = locator.locate(take(photographer, Pose2(6.0, 3.0), 200), truth)
+    assert elsewhere.status == "lost"
+    assert elsewhere.reason.startswith("not here")
+
+
+def test_a_robot_is_followed_and_found_again(
+    photographer: photograph.Photographer, map_file: Path
+) -> None:
+    locator = slamcli.Locator(slamcli.load_map(map_file))
+    follower = slamcli.Follower(locator)
+    drive = [Pose2(0.03 + 0.02 * step, 0.0, 0.01 * step) for step in range(8)]
+    # It is carried elsewhere, off the map, and back.
+    drive[5], drive[6] = Pose2(6.0, 3.0), Pose2(0.05, 0.0, 0.3)
+    featured = []
+    for number, truth in enumerate(drive):
+        prepared = locator.prepare(Frame(number, "", None, take(photographer, truth, number)))
+        estimate = follower.place(prepared)
+        featured.append(is_computed(prepared))
+        if number == 5:
+            assert estimate.status == "lost"
+            continue
+        assert estimate.map_from_robot is not None, estimate.reason
+        assert (truth.inverse() @ estimate.map_from_robot).translation_length < 0.002
+    # Only where nothing is expected, or something else.
+    assert featured[0]
+    assert not any(featured[2:5])
+    assert featured[5:7] == [True, True]
+
+
+def is_computed(prepared: PreparedFrame) -> bool:
+    """Return whether features were extracted."""
+    assert prepared.extraction is not None
+    return prepared.extraction._compute is None
+
+
+def test_slam_locate_follows_a_drive(
+    photographer: photograph.Photographer, map_file: Path, tmp_path: Path
+) -> None:
+    for index in range(4):
+        write_image(
+            tmp_path / f"{index}.png", take(photographer, Pose2(0.05 + 0.02 * index), index)
+        )
+    found = slam("locate", map_file, tmp_path, "--follow", "--json")
+    assert found.exit_code == 0
+    entries = json.loads(found.stdout)
+    assert [entry["x"] for entry in entries] == pytest.approx([0.05, 0.07, 0.09, 0.11], abs=0.002)
+    assert entries[3]["inliers"] == 0

@@ -11,6 +11,7 @@ import pytest
 from hand_made_records import alignment_of, fit_of, pair_of
 
 from slamcli.core.config import MapperOptions
+from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import FeatureAlignment, Features, PreparedFrame
 from slamcli.registration import RegistrationResult, hypotheses, refinement, register, rivals
@@ -42,7 +43,15 @@ def frame_of(index: int, *, far: bool = False, repeats: bool = False) -> Prepare
     shifts = np.array([[0.3, 0.0]]) if repeats else np.empty((0, 2))
     far_levels = levels if far else ()
     return PreparedFrame(
-        index, f"frame {index}", None, None, NO_FEATURES, "", levels, far_levels, shifts
+        index,
+        f"frame {index}",
+        None,
+        None,
+        Deferred.of(NO_FEATURES),
+        "",
+        levels,
+        far_levels,
+        Deferred.of(shifts),
     )
 
 

@@ -1,11 +1,21 @@
 """The records that stages exchange; all frozen, their arrays never written to."""
 
 from slamcli.core.records.features import DescriptorNorm, FeatureAlignment, Features, Keypoints
-from slamcli.core.records.frames import Frame, Keyframe, PreparedFrame, PyramidLevel, View
+from slamcli.core.records.frames import (
+    NO_PERIODS,
+    Frame,
+    Keyframe,
+    NormalisedDetail,
+    PreparedFrame,
+    PyramidLevel,
+    Template,
+    View,
+)
 from slamcli.core.records.graph import FloorMap, Link, LinkKind, PoseEstimate, Status
 from slamcli.core.records.mosaic import PosedFrame, Tile
 
 __all__ = [
+    "NO_PERIODS",
     "DescriptorNorm",
     "FeatureAlignment",
     "Features",
@@ -15,11 +25,13 @@ __all__ = [
     "Keypoints",
     "Link",
     "LinkKind",
+    "NormalisedDetail",
     "PoseEstimate",
     "PosedFrame",
     "PreparedFrame",
     "PyramidLevel",
     "Status",
+    "Template",
     "Tile",
     "View",
 ]

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array
+import numpy as np
+
+from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
+from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Grid
 from slamcli.core.records.features import Features
 
@@ -57,8 +60,60 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Template:
+    """The points of a level that another view is aligned with.
+
+    Attributes
+    ----------
+    points : (N, 2) float64
+        The pixels with the strongest gradients, metres, robot frame.
+    slopes : (5, N) float64
+        How their detail changes with x, y (per metre) and with a turn about the robot (per
+        radian), then the detail itself and 1: rows, as numpy takes columns of rows quickly.
+    """
+
+    points: Float64Array
+    slopes: Float64Array
+
+    @classmethod
+    def of(cls, points: Float64Array, values: Float64Array, gradients: Float64Array) -> Template:
+        """Return the template of points with their detail (N,) and its gradients (N, 2)."""
+        slopes = np.empty((5, len(points)))
+        slopes[:2] = gradients.T
+        slopes[2] = slopes[1] * points[:, 0] - slopes[0] * points[:, 1]
+        slopes[3] = values
+        slopes[4] = 1.0
+        return cls(points, slopes)
+
+    def part(self, chosen: BoolArray | slice) -> Template:
+        """Return some of the points."""
+        return Template(
+            np.ascontiguousarray(self.points[chosen]),
+            np.ascontiguousarray(self.slopes[:, chosen]),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalisedDetail:
+    """A level's detail with normalised local contrast.
+
+    Attributes
+    ----------
+    values : (h, w) float32
+        0 outside.
+    energy : float
+        The mean of its square over what is inside.
+    """
+
+    values: Float32Array
+    energy: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PyramidLevel:
     """One level of a view's image pyramid, ready for photometric comparison.
+
+    What only keyframes or only difficult pairs need is computed when it is needed.
 
     Attributes
     ----------
@@ -73,18 +128,8 @@ class PyramidLevel:
         255 where the detail and its gradient are free of the mask's border.
     weight : (h, w) float32
         1 there, else 0.
-    points : (N, 2) float64
-        The pixels with the strongest gradients, metres, robot frame.
-    values : (N,) float64
-        Their detail.
-    gradients : (N, 2) float64
-        Of the detail, per metre.
-    noise_gray : float
-        One standard deviation of the camera's noise in the detail.
-    normalised : (h, w) float32
-        The detail with normalised local contrast; 0 outside.
-    energy : float
-        The mean of its square over what is inside.
+    template : Deferred of Template
+    contrast : Deferred of NormalisedDetail
     frame_noise_gray : float
         One standard deviation of the camera's noise in the frame itself; 0 where unknown.
     """
@@ -96,18 +141,34 @@ class PyramidLevel:
     detail: Float32Array
     inside: UInt8Array
     weight: Float32Array
-    points: Float64Array
-    values: Float64Array
-    gradients: Float64Array
-    noise_gray: float
-    normalised: Float32Array
-    energy: float
+    template: Deferred[Template]
+    contrast: Deferred[NormalisedDetail]
     frame_noise_gray: float
+
+    @property
+    def points(self) -> Float64Array:
+        """Of the template."""
+        return self.template.value.points
+
+    @property
+    def normalised(self) -> Float32Array:
+        """Values of the detail with normalised local contrast."""
+        return self.contrast.value.values
+
+    @property
+    def energy(self) -> float:
+        """Of the detail with normalised local contrast."""
+        return self.contrast.value.energy
+
+
+NO_PERIODS: Deferred[Float64Array] = Deferred.of(np.empty((0, 2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedFrame:
     """A frame prepared for registration: all that can be computed without any other frame.
+
+    Its views are made; features and periods of its floor are computed when they are first needed.
 
     Attributes
     ----------
@@ -115,16 +176,16 @@ class PreparedFrame:
         Of the frame.
     view : View or None
         Gray; None when the frame could not be used.
-    features : Features or None
+    extraction : Deferred of Features, or None
+        None when the frame could not be used.
     reason : str
         Why the frame could not be used; empty when it could.
     levels : tuple of PyramidLevel
         Of the view, from half resolution on.
     far_levels : tuple of PyramidLevel
         Of a coarser view of the floor beyond; empty where the camera sees no farther.
-    repeats : (K, 2) float64 or None
-        Shifts, metres in the robot's axes, by which the view looks like itself; None where they
-        were not looked for yet.
+    periodicity : Deferred of (K, 2) float64
+        Shifts, metres in the robot's axes, by which the view looks like itself.
     digest : bytes
         Of the frame's file; empty when there is none or it could not be read.
     """
@@ -133,12 +194,22 @@ class PreparedFrame:
     name: str
     stamp: float | None
     view: View | None
-    features: Features | None
+    extraction: Deferred[Features] | None
     reason: str = ""
     levels: tuple[PyramidLevel, ...] = ()
     far_levels: tuple[PyramidLevel, ...] = ()
-    repeats: Float64Array | None = None
+    periodicity: Deferred[Float64Array] = NO_PERIODS
     digest: bytes = b""
+
+    @property
+    def features(self) -> Features | None:
+        """The view's features, extracted when they are first needed; None as `extraction`."""
+        return None if self.extraction is None else self.extraction.value
+
+    @property
+    def repeats(self) -> Float64Array:
+        """The shifts of `periodicity`, found when they are first needed."""
+        return self.periodicity.value
 
 
 @dataclass(frozen=True, slots=True, eq=False)

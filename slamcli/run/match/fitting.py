@@ -11,6 +11,7 @@ import numpy as np
 
 from slamcli.core.camera.calibration import Calibration, top_down_calibration
 from slamcli.core.config import FeatureMethod, FeatureOptions, MapperOptions, MatchOptions
+from slamcli.core.deferred import Deferred
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.geometry import Grid
 from slamcli.core.records import FeatureAlignment, Features, Frame, PreparedFrame, View
@@ -228,7 +229,7 @@ def _prepared(index: int, picture: PairImage, found: Features) -> PreparedFrame:
     far = view.make_far_resampler(picture.calibration, picture.view.grid.metres_per_pixel)
     if far is not None:
         views += view.make_compared_views(frame, [far])
-    return assemble(replace(frame, index=index), views, found)
+    return assemble(replace(frame, index=index), views, Deferred.of(found))
 
 
 def search_pair(first: PairImage, second: PairImage, fit: PairFit) -> PairFit:

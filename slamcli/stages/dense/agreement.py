@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
+from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.core.records import PyramidLevel, View
 from slamcli.stages.dense.warping import warp_onto
@@ -178,14 +179,7 @@ def keep_agreeing_points(
         column, row = np.floor_divide(np.rint(pixels), _PATCH_PIXELS).astype(np.int64).T
         inside = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
         inside[inside] = agree[row[inside], column[inside]]
-        kept.append(
-            replace(
-                level,
-                points=level.points[inside],
-                values=level.values[inside],
-                gradients=level.gradients[inside],
-            )
-        )
+        kept.append(replace(level, template=Deferred.of(level.template.value.part(inside))))
     return tuple(kept)
 
 

@@ -44,9 +44,11 @@ class NormalEquations:
     Attributes
     ----------
     state : FitState
-    jacobian : (N, K) float64
-    pixels, points : (N, 2) float64
-        In b's level and on its floor, metres.
+    slopes : (K, N) float64
+    places : Places
+        Of the points in b's level.
+    points : (N, 2) float64
+        On b's floor, metres.
     residual, weight : (N,) float64
         Before the step; the weight by the noise of the residuals themselves.
     prior : (K, K) float64
@@ -54,8 +56,8 @@ class NormalEquations:
     """
 
     state: FitState
-    jacobian: Float64Array
-    pixels: Float64Array
+    slopes: Float64Array
+    places: pyramid.Places
     points: Float64Array
     residual: Float64Array
     weight: Float64Array
@@ -69,25 +71,21 @@ def covariance_of(b: PyramidLevel, solved: NormalEquations) -> Float64Array | No
     plain line; in the product with the other view's, whose noise is independent, they cancel on
     average. None where the information is not finite.
     """
-    jacobian, pixels, points, weight = (
-        solved.jacobian,
-        solved.pixels,
-        solved.points,
-        solved.weight,
-    )
+    points, weight = solved.points, solved.weight
     right, up = pyramid.slopes(b.detail, b.metres_per_pixel)
-    other = np.column_stack([pyramid.sample(right, pixels), pyramid.sample(up, pixels)])
-    both = jacobian.copy()
-    both[:, :2] = -other
-    both[:, 2] = other[:, 0] * points[:, 1] - other[:, 1] * points[:, 0]
+    both = solved.slopes.copy()
+    both[0], both[1] = -solved.places.sample(right), -solved.places.sample(up)
+    both[2] = both[1] * points[:, 0] - both[0] * points[:, 1]
     # About the middle of the overlap, rotation and translation are uncorrelated.
-    central = np.eye(jacobian.shape[1])
+    central = np.eye(len(both))
     middle = points.mean(axis=0)
     central[:2, 2] = middle[1], -middle[0]
-    first, second = jacobian @ central, both @ central
-    shared = first.T @ (second * weight[:, None])
-    unshared = (first - second).T @ ((first - second) * weight[:, None]) / 2.0
-    scale = 1.0 / np.sqrt(np.maximum(np.sum(first**2 * weight[:, None], axis=0), 1e-12))
+    first, second = central.T @ solved.slopes, central.T @ both
+    weighted = first * weight
+    shared = weighted @ second.T
+    apart = first - second
+    unshared = (apart * weight) @ apart.T / 2.0
+    scale = 1.0 / np.sqrt(np.maximum(np.einsum("kn,kn->k", weighted, first), 1e-12))
     scales = np.outer(scale, scale)
     values, vectors = np.linalg.eigh((shared + shared.T) / 2.0 * scales)
     if not np.isfinite(values).all():

@@ -16,6 +16,7 @@ import numpy as np
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Pose2, invert
 from slamcli.core.records import PyramidLevel
 from slamcli.core.robust import SIGMA_PER_MAD
@@ -30,12 +31,14 @@ from slamcli.stages.dense.photometric_residuals import (
 )
 
 _MAX_ITERATIONS = 12
-# The last step is smaller than this. After a sample of the points has converged, one step of all of
-# them ends the refinement, and may be larger: it leaves only a small share of itself
-# [guarded by benchmarks/accuracy.py and benchmarks/stages.py].
-_CONVERGED_PIXELS, _CONVERGED_ALL_POINTS_PIXELS = 0.003, 0.03
+# The last step is smaller than this. On coarser levels, and where all points follow a sample that
+# has converged, it may be larger: it leaves only a small share of itself
+# [guarded by benchmarks/accuracy.py and benchmarks/streaming.py].
+_CONVERGED_PIXELS, _NEARLY_CONVERGED_PIXELS = 0.003, 0.03
 _SAMPLE_POINTS = 4000
 _HUBER_SIGMAS = 1.5
+# Residuals whose spread stands for that of all.
+_SPREAD_POINTS = 2000
 # On a floor of plain lines nearly every pixel fits, while a line's end, which alone determines the
 # motion along it, does not: it must not pass for an outlier. Noise is taken to be at least this
 # share of the contrast, for the weights of outliers and for the covariance
@@ -176,8 +179,8 @@ def _coarse_to_fine(
         if level_a is levels_a[0]:
             samples.append(level_a)
         for sample in samples or [level_a]:
-            all_points = len(samples) > 1 and sample is level_a
-            min_pixels = _CONVERGED_ALL_POINTS_PIXELS if all_points else _CONVERGED_PIXELS
+            last = level_a is levels_a[0] and len(samples) < 2
+            min_pixels = _CONVERGED_PIXELS if last else _NEARLY_CONVERGED_PIXELS
             solved = _refine_level(sample, level_b, model, state, min_pixels)
             if solved is None:
                 return None
@@ -188,12 +191,7 @@ def _coarse_to_fine(
 def _sampled(level: PyramidLevel) -> PyramidLevel:
     """Return a level with some of its points, evenly taken."""
     step = -(-len(level.points) // _SAMPLE_POINTS)
-    return replace(
-        level,
-        points=level.points[::step],
-        values=level.values[::step],
-        gradients=level.gradients[::step],
-    )
+    return replace(level, template=Deferred.of(level.template.value.part(slice(None, None, step))))
 
 
 def _refine_level(
@@ -206,14 +204,14 @@ def _refine_level(
     residuals = LevelResiduals.of(a, b, model)
     prior = model.prior_information()
     for _ in range(_MAX_ITERATIONS):
+        before = state
         linear = residuals.linearise(state)
         solved = None if linear is None else _solve(linear, prior, model.prior_deviation(state))
         if linear is None or solved is None:
             return None
         step, weight = solved
         state = model.moved(state, step)
-        reach = float(np.abs(linear.points).max())
-        moved = math.hypot(step[0], step[1]) + abs(step[2]) * reach
+        moved = math.hypot(step[0], step[1]) + abs(step[2]) * residuals.reach_metres
         if moved < min_pixels * b.metres_per_pixel:
             break
     assert linear is not None
@@ -222,8 +220,9 @@ def _refine_level(
     left = math.sqrt(float(np.sum(share * linear.residual**2) / np.sum(share)))
     noise = max(left, _MIN_RESIDUAL_SHARE * linear.contrast, 1e-6)
     weight = share / (noise**2 * _CORRELATED_PIXELS)
+    points = residuals.points(before, linear.places.chosen)
     return NormalEquations(
-        state, linear.jacobian, linear.pixels, linear.points, linear.residual, weight, prior
+        state, linear.slopes, linear.places, points, linear.residual, weight, prior
     )
 
 
@@ -241,14 +240,15 @@ def _solve(
         Of the state from them.
     """
     residual = linear.residual
-    spread = SIGMA_PER_MAD * _median(np.abs(residual - _median(residual)))
+    some = residual[:: -(-len(residual) // _SPREAD_POINTS)]
+    spread = SIGMA_PER_MAD * _median(np.abs(some - _median(some)))
     noise = max(spread, _MIN_NOISE_SHARE * linear.contrast, 1e-6)
     weight = np.minimum(1.0, _HUBER_SIGMAS * noise / np.maximum(np.abs(residual), 1e-12))
     weight /= noise**2 * _CORRELATED_PIXELS
-    weighted = linear.jacobian * weight[:, None]
-    information = linear.jacobian.T @ weighted + prior
+    weighted = linear.slopes * weight
+    information = weighted @ linear.slopes.T + prior
     try:
-        step = -np.linalg.solve(information, weighted.T @ residual + prior @ deviation)
+        step = -np.linalg.solve(information, weighted @ residual + prior @ deviation)
     except np.linalg.LinAlgError:
         return None
     if not np.isfinite(step).all():

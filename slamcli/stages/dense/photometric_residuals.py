@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from slamcli.core.arrays import Float64Array
+from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Pose2, apply_homography, invert
 from slamcli.core.records import PyramidLevel
@@ -86,18 +87,17 @@ class Linearisation:
 
     Attributes
     ----------
-    jacobian : (N, 5 + 2 K) float64
+    slopes : (5 + 2 K, N) float64
     residual : (N,) float64
-    pixels, points : (N, 2) float64
-        In b's level and on its floor, metres.
+    places : Places
+        Of the residuals' points, in b's level.
     contrast : float
         Standard deviation of the template's values.
     """
 
-    jacobian: Float64Array
+    slopes: Float64Array
     residual: Float64Array
-    pixels: Float64Array
-    points: Float64Array
+    places: pyramid.Places
     contrast: float
 
 
@@ -113,6 +113,8 @@ class LevelResiduals:
         Metres to metres, with one sigma of each deviation of the mounting.
     shifts_a : (K, 2, N) float64, metres
         By which they shift view a's points.
+    reach_metres : float
+        Of view a's points from robot a, along either axis.
     """
 
     a: PyramidLevel
@@ -120,45 +122,64 @@ class LevelResiduals:
     model: WarpModel
     shown_from_floor: Float64Array
     shifts_a: Float64Array
+    reach_metres: float
 
     @classmethod
     def of(cls, a: PyramidLevel, b: PyramidLevel, model: WarpModel) -> LevelResiduals:
         """Return the residuals of two levels, with what is the same for every state."""
         shown_from_floor = rocking.shown_from_floor_by_each(model.calibration, model.sigmas)
-        return cls(a, b, model, shown_from_floor, rocking.shifts(shown_from_floor, a.points))
+        shifts_a = rocking.shifts(shown_from_floor, a.points)
+        return cls(a, b, model, shown_from_floor, shifts_a, float(np.abs(a.points).max()))
 
     def linearise(self, state: FitState) -> Linearisation | None:
         """Return the residuals and their slopes at a state; None where b sees too few points."""
-        floor_b, pixels_b = self._project(state)
-        seen = np.flatnonzero(pyramid.sample(self.b.inside, pixels_b) > 254.5)
-        if len(seen) < MIN_TEMPLATE_PIXELS:
+        places = pyramid.Places.of(self._pixels(state)).among(self.b.inside)
+        chosen = places.chosen
+        if len(chosen) < MIN_TEMPLATE_PIXELS:
             return None
         # Numpy takes this way, and from rows, several times as fast as it indexes.
-        points = np.take(floor_b.T, seen, axis=1).T
-        pixels = np.take(pixels_b.T, seen, axis=1).T
-        gradients_a = np.take(self.a.gradients, seen, axis=0)
-        values = self.a.values[seen]
-        gradients = gradients_a @ state.a_from_b.matrix[:2, :2]
-        slopes = np.empty((5 + 2 * len(self.model.sigmas), len(points)))
-        slopes[:2] = -gradients.T
-        slopes[2] = gradients[:, 0] * points[:, 1] - gradients[:, 1] * points[:, 0]
-        slopes[3] = values
-        slopes[4] = 1.0
+        of_template = np.take(self.a.template.value.slopes, chosen, axis=1)
+        values = of_template[3]
+        slopes = _by_motion(state.a_from_b) @ of_template
         if len(self.model.sigmas):
-            shifts_a = np.take(self.shifts_a, seen, axis=2)
-            shifts_b = rocking.shifts(self.shown_from_floor, points)
-            slopes[5:] = rocking.slopes(gradients_a, gradients, shifts_a, shifts_b)
-        residual = pyramid.sample(self.b.detail, pixels) - values
-        return Linearisation(slopes.T, residual, pixels, points, float(values.std()))
+            shifts_a = np.take(self.shifts_a, chosen, axis=2)
+            shifts_b = rocking.shifts(self.shown_from_floor, self.points(state, chosen))
+            by_rocking = rocking.slopes(of_template[:2], -slopes[:2], shifts_a, shifts_b)
+            slopes = np.concatenate([slopes, by_rocking])
+        residual = places.sample(self.b.detail) - values
+        return Linearisation(slopes, residual, places, float(values.std()))
 
-    def _project(self, state: FitState) -> tuple[Float64Array, Float64Array]:
-        """Return (N, 2) points of view a on b's floor, metres, and in b's level, pixels."""
-        calibration = self.model.calibration
-        floor_from_shown_a = invert(rocking.shown_from_floor(calibration, state.mounting_a))
-        floor_b = apply_homography(
-            state.a_from_b.inverse().matrix @ floor_from_shown_a, self.a.points
-        )
-        pixel_from_floor_b = self.b.pixel_from_metres @ rocking.shown_from_floor(
-            calibration, state.mounting_b
-        )
-        return floor_b, apply_homography(pixel_from_floor_b, floor_b)
+    def points(self, state: FitState, chosen: Int64Array) -> Float64Array:
+        """Return (N, 2): where some points of view a lie on b's floor, metres."""
+        points_a = np.take(self.a.points, chosen, axis=0)
+        return apply_homography(self._floor_b_from_view_a(state), points_a)
+
+    def _pixels(self, state: FitState) -> Float64Array:
+        """Return (2, N): columns and rows of view a's points in b's level."""
+        pixel_from_floor = self.b.pixel_from_metres
+        if len(self.model.sigmas):
+            pixel_from_floor = pixel_from_floor @ rocking.shown_from_floor(
+                self.model.calibration, state.mounting_b
+            )
+        to_pixel = pixel_from_floor @ self._floor_b_from_view_a(state)
+        rows = to_pixel[:, :2] @ self.a.points.T + to_pixel[:, 2:]
+        return rows[:2] if not to_pixel[2, :2].any() else rows[:2] / rows[2]
+
+    def _floor_b_from_view_a(self, state: FitState) -> Float64Array:
+        """Return (3, 3), metres to metres."""
+        b_from_a = state.a_from_b.inverse().matrix
+        if not len(self.model.sigmas):
+            return b_from_a
+        shown_a = rocking.shown_from_floor(self.model.calibration, state.mounting_a)
+        return b_from_a @ invert(shown_a)
+
+
+def _by_motion(a_from_b: Pose2) -> Float64Array:
+    """Return (5, 5): slopes by a motion in b's axes, gain and offset, from a template's own."""
+    cosine, sine = math.cos(a_from_b.theta), math.sin(a_from_b.theta)
+    by_motion = np.eye(5)
+    by_motion[0, :2] = -cosine, -sine
+    by_motion[1, :2] = sine, -cosine
+    # The turn is about robot b, not about robot a.
+    by_motion[2, :3] = -a_from_b.y, a_from_b.x, -1.0
+    return by_motion

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
+from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Grid, apply_homography, invert
-from slamcli.core.records import PyramidLevel, View
+from slamcli.core.records import NormalisedDetail, PyramidLevel, Template, View
 from slamcli.core.robust import NORMAL_MEDIAN
 
 # From half the view's resolution on, which already resolves hundredths of a pixel, down to where a
@@ -82,7 +84,7 @@ def make_level_masks(mask: UInt8Array) -> tuple[LevelMask, ...]:
 def make_levels(
     view: View, level_masks: Sequence[LevelMask] | None = None
 ) -> tuple[PyramidLevel, ...]:
-    """Return a gray view's pyramid, from half resolution on, with each level's strongest gradients.
+    """Return a gray view's pyramid, from half resolution on.
 
     The last level is small enough to be searched whole.
 
@@ -118,14 +120,33 @@ def _levels(
 ) -> tuple[PyramidLevel, ...]:
     levels: list[PyramidLevel] = []
     pixel_from_metres, metres_per_pixel = grid.pixel_from_metres, grid.metres_per_pixel
+    noise_gray: Deferred[float] | None = None
     for level_mask in level_masks:
         pixel_from_metres, metres_per_pixel = _HALVE @ pixel_from_metres, 2.0 * metres_per_pixel
-        noise_gray = None
         if levels:
-            image, noise_gray = _halved(image), _HALVED_NOISE * levels[-1].noise_gray
+            image = _halved(image)
+        detail = _detail(image, level_mask)
+        noise_gray = Deferred(
+            partial(_noise, detail, level_mask.inside)
+            if noise_gray is None
+            else partial(_halved_noise, noise_gray)
+        )
         levels.append(
-            _level(
-                image, level_mask, pixel_from_metres, metres_per_pixel, frame_noise_gray, noise_gray
+            PyramidLevel(
+                pixel_from_metres,
+                metres_per_pixel,
+                image,
+                level_mask.mask,
+                detail,
+                level_mask.inside,
+                level_mask.weight,
+                Deferred(
+                    partial(
+                        _template, detail, level_mask.weight, pixel_from_metres, metres_per_pixel
+                    )
+                ),
+                Deferred(partial(_contrast, detail, level_mask, noise_gray)),
+                frame_noise_gray,
             )
         )
     return tuple(levels)
@@ -166,41 +187,27 @@ def _halved(picture: UInt8Array) -> UInt8Array:
     return np.asarray(cv2.pyrDown(picture), np.uint8)
 
 
-def _level(
-    image: UInt8Array,
-    level_mask: LevelMask,
+def _template(
+    detail: Float32Array,
+    weight: Float32Array,
     pixel_from_metres: Float64Array,
     metres_per_pixel: float,
-    frame_noise_gray: float,
-    noise_gray: float | None,
-) -> PyramidLevel:
-    detail = _detail(image, level_mask)
-    if noise_gray is None:
-        noise_gray = _noise(detail, level_mask.inside)
+) -> Template:
+    """Return the points of a level with the strongest gradients."""
     right, up = slopes(detail, metres_per_pixel)
-    chosen = _strongest_gradients((right * right + up * up) * level_mask.weight)
+    chosen = _strongest_gradients((right * right + up * up) * weight)
     rows, columns = np.unravel_index(chosen, detail.shape)
     points = apply_homography(invert(pixel_from_metres), np.column_stack([columns, rows]))
     gradients = np.column_stack([right.ravel()[chosen], up.ravel()[chosen]]).astype(np.float64)
-    values = detail.ravel()[chosen].astype(np.float64)
-    normalised = _normalised(detail, level_mask, noise_gray)
+    return Template.of(points, detail.ravel()[chosen].astype(np.float64), gradients)
+
+
+def _contrast(
+    detail: Float32Array, level_mask: LevelMask, noise_gray: Deferred[float]
+) -> NormalisedDetail:
+    normalised = _normalised(detail, level_mask, noise_gray.value)
     whole = max(float(cv2.countNonZero(level_mask.inside)), 1.0)
-    return PyramidLevel(
-        pixel_from_metres,
-        metres_per_pixel,
-        image,
-        level_mask.mask,
-        detail,
-        level_mask.inside,
-        level_mask.weight,
-        points,
-        values,
-        gradients,
-        noise_gray,
-        normalised,
-        float(cv2.norm(normalised, cv2.NORM_L2SQR)) / whole,
-        frame_noise_gray,
-    )
+    return NormalisedDetail(normalised, float(cv2.norm(normalised, cv2.NORM_L2SQR)) / whole)
 
 
 def _normalised(detail: Float32Array, level_mask: LevelMask, noise_gray: float) -> Float32Array:
@@ -219,6 +226,10 @@ def _noise(detail: Float32Array, inside: UInt8Array) -> float:
     """
     remaining = np.abs(np.asarray(cv2.filter2D(detail, cv2.CV_32F, _NOISE_KERNEL)))[inside == 255]
     return _NOISE_FACTOR * float(np.median(remaining)) if remaining.size else 0.0
+
+
+def _halved_noise(noise_gray: Deferred[float]) -> float:
+    return _HALVED_NOISE * noise_gray.value
 
 
 def _detail(image: UInt8Array, level_mask: LevelMask) -> Float32Array:
@@ -255,12 +266,41 @@ def _strongest_gradients(strength: Float32Array) -> Int64Array:
     return np.flatnonzero(flat > least)
 
 
-def sample(image: Float32Array | UInt8Array, pixels: Float64Array) -> Float64Array:
-    """Interpolate (h, w) at (N, 2) pixels; 0 outside. Folded, as remap limits its maps' sides."""
-    count = len(pixels)
-    rows = -(-count // _REMAP_COLUMNS)
-    folded = np.full((2, rows * _REMAP_COLUMNS), -1e4, dtype=np.float32)
-    folded[:, :count] = pixels.T
-    columns_map, rows_map = folded.reshape(2, rows, _REMAP_COLUMNS)
-    sampled = cv2.remap(image, columns_map, rows_map, cv2.INTER_LINEAR)
-    return np.asarray(sampled, dtype=np.float64).ravel()[:count]
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Places in a level between its pixels, where its pictures are interpolated.
+
+    Attributes
+    ----------
+    maps : (2, rows, columns) float32
+        Columns and rows to read, folded, as OpenCV limits the sides of its maps.
+    chosen : (N,) int64
+        Those of interest, in the order of the maps.
+    """
+
+    maps: Float32Array
+    chosen: Int64Array
+
+    @classmethod
+    def of(cls, pixels: Float64Array) -> Places:
+        """Return (2, N) columns and rows as places, all of interest."""
+        count = pixels.shape[1]
+        rows = -(-count // _REMAP_COLUMNS)
+        folded = np.full((2, rows * _REMAP_COLUMNS), -1e4, dtype=np.float32)
+        folded[:, :count] = pixels
+        return cls(folded.reshape(2, rows, _REMAP_COLUMNS), np.arange(count))
+
+    def among(self, picture: UInt8Array) -> Places:
+        """Return the places all around which a mask (h, w) is 255."""
+        seen = cv2.remap(picture, self.maps[0], self.maps[1], cv2.INTER_LINEAR)
+        return Places(self.maps, np.flatnonzero(np.asarray(seen).ravel() == 255))
+
+    def sample(self, image: Float32Array) -> Float64Array:
+        """Return (N,) values of a picture (h, w) there; 0 outside."""
+        sampled = cv2.remap(image, self.maps[0], self.maps[1], cv2.INTER_LINEAR)
+        return np.asarray(sampled).ravel()[self.chosen].astype(np.float64)
+
+
+def sample(image: Float32Array, pixels: Float64Array) -> Float64Array:
+    """Interpolate (h, w) at (N, 2) pixels; 0 outside."""
+    return Places.of(pixels.T).sample(image)

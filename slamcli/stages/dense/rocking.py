@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.calibration import CACHED_CALIBRATIONS, Calibration
 from slamcli.core.camera.mounting import image_from_robot_homography
 from slamcli.core.geometry import apply_homography
 from slamcli.core.records import PyramidLevel
@@ -55,9 +56,16 @@ def shown_from_floor(calibration: Calibration, mounting: Float64Array) -> Float6
 
 def shown_from_floor_by_each(calibration: Calibration, sigmas: Float64Array) -> Float64Array:
     """Return (K, 3, 3): `shown_from_floor` with one sigma of each in turn."""
-    return np.array(
+    return _shown_by_each(calibration, tuple(sigmas.tolist()))
+
+
+@lru_cache(maxsize=CACHED_CALIBRATIONS)
+def _shown_by_each(calibration: Calibration, sigmas: tuple[float, ...]) -> Float64Array:
+    shown = np.array(
         [shown_from_floor(calibration, row) for row in np.diag(sigmas)], dtype=np.float64
     ).reshape(-1, 3, 3)
+    shown.setflags(write=False)
+    return shown
 
 
 def shifts(shown_from_floor_by_each: Float64Array, points: Float64Array) -> Float64Array:
@@ -81,13 +89,13 @@ def slopes(
 
     Parameters
     ----------
-    gradients_a, gradients_b : (N, 2) float64
+    gradients_a, gradients_b : (2, N) float64
         Of view a's picture, in a's axes and in b's.
     shifts_a, shifts_b : (K, 2, N) float64
         From `shifts`, each in its own frame's axes.
     """
-    slopes_a = shifts_a[:, 0] * gradients_a[:, 0] + shifts_a[:, 1] * gradients_a[:, 1]
-    slopes_b = shifts_b[:, 0] * gradients_b[:, 0] + shifts_b[:, 1] * gradients_b[:, 1]
+    slopes_a = shifts_a[:, 0] * gradients_a[0] + shifts_a[:, 1] * gradients_a[1]
+    slopes_b = shifts_b[:, 0] * gradients_b[0] + shifts_b[:, 1] * gradients_b[1]
     return np.concatenate([-slopes_a, slopes_b])
 
 
@@ -120,16 +128,16 @@ def explains_residuals(
     sampled = slice(None, None, -(-len(solved.points) // _MAX_TEST_POINTS))
     points_b = solved.points[sampled]
     residual, weight = solved.residual[sampled], solved.weight[sampled]
-    steady = solved.jacobian[sampled]
+    steady = solved.slopes[:, sampled]
     rocking = _slopes_of_rocking(solved, steady, points_b, calibration, sigmas)
-    jacobian = np.vstack([steady.T, rocking]).T
+    every = np.concatenate([steady, rocking])
     # The sample represents all points.
     share = len(solved.points) / len(points_b)
-    count = steady.shape[1]
-    information = share * jacobian.T @ (jacobian * weight[:, None])
+    count = len(steady)
+    information = share * (every * weight) @ every.T
     information[:count, :count] += solved.prior
     information[count:, count:] += np.eye(2 * len(sigmas))
-    gradient = share * jacobian.T @ (weight * residual)
+    gradient = share * every @ (weight * residual)
     try:
         step = np.linalg.solve(information, gradient)
         alone = np.linalg.solve(information[:count, :count], gradient[:count])
@@ -148,9 +156,9 @@ def _slopes_of_rocking(
     calibration: Calibration,
     sigmas: Float64Array,
 ) -> Float64Array:
-    """Return (2 K, N): how residuals whose (N, 5) slopes are `steady` change with rocking."""
-    gradients_b = -steady[:, :2]
-    gradients_a = gradients_b @ solved.state.a_from_b.matrix[:2, :2].T
+    """Return (2 K, N): how residuals whose (5, N) slopes are `steady` change with rocking."""
+    gradients_b = -steady[:2]
+    gradients_a = solved.state.a_from_b.matrix[:2, :2] @ gradients_b
     shown_from_floor = shown_from_floor_by_each(calibration, sigmas)
     shifts_a = shifts(shown_from_floor, solved.state.a_from_b.apply(points_b))
     shifts_b = shifts(shown_from_floor, points_b)

@@ -1,0 +1,109 @@
+"""Direct tracking: the motion to a keyframe by pixels alone, from where it is expected.
+
+Between keyframes the pixels of the latest one explain nearly all of a frame. Its motion is then
+refined on them from the expected one (a direct method: Irani and Anandan, All about direct methods,
+1999), and needs no features. It is accepted only where nothing is left to explain: otherwise
+the frame is registered by its features, as if it had not been tried.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.config import MapperOptions
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import NO_PERIODS, FeatureAlignment, PreparedFrame
+from slamcli.registration import acceptance, criteria, rivals
+from slamcli.registration.hypothesis import (
+    MotionHypothesis,
+    PyramidPair,
+    score_coarsely,
+    score_refined,
+)
+from slamcli.registration.result import ACCEPTED, RegistrationResult
+from slamcli.registration.selection import PairContext
+from slamcli.stages import dense
+
+# Share of the overlap's informative patches that must agree [guarded by benchmarks/robustness.py].
+_MIN_CONFIRMED = 0.7
+# A narrow strip fits nearly anything [guarded by benchmarks/robustness.py].
+_MIN_OVERLAP = 0.3
+_NO_ALIGNMENT = FeatureAlignment(
+    "rigid",
+    None,
+    None,
+    None,
+    np.empty((0, 2), np.int32),
+    np.empty(0, np.bool_),
+    np.empty(0),
+    0.0,
+)
+
+
+def track(
+    keyframe: PreparedFrame,
+    prepared: PreparedFrame,
+    start: Pose2,
+    calibration: Calibration,
+    options: MapperOptions,
+    prior: dense.MotionPrior,
+) -> RegistrationResult | None:
+    """Return a frame's motion from a keyframe, refined on the pixels of both.
+
+    Parameters
+    ----------
+    keyframe, prepared : PreparedFrame
+    start : Pose2
+        ``keyframe_from_prepared`` as expected.
+    calibration : Calibration
+    options : MapperOptions
+    prior : MotionPrior
+        What odometry or the motion model say of the motion; a surprising motion is not accepted.
+
+    Returns
+    -------
+    RegistrationResult or None
+        With a link; None where the pixels do not prove a motion.
+    """
+    pair = PyramidPair(keyframe.levels, prepared.levels)
+    refined = dense.refine(
+        pair.a[:2],
+        pair.b[:2],
+        start,
+        calibration,
+        0.0,
+        dense.RefinementAssumptions(
+            suspected_tilt_radians=math.radians(options.tilt_sigma_degrees)
+        ),
+    )
+    if refined is None or not rivals.is_expected(prior, refined.a_from_b):
+        return None
+    fit = score_coarsely(pair, refined)
+    shared = prepared
+    if fit.agreement.overlap >= options.keyframe_overlap:
+        # What repeats in the floor that both see repeats in the keyframe too.
+        shared = replace(prepared, periodicity=NO_PERIODS)
+    context = PairContext(keyframe, shared, _NO_ALIGNMENT, calibration, options, 0.0, prior)
+    if not _explains_all(context, fit):
+        return None
+    if len(keyframe.repeats) or len(shared.repeats):
+        fit = score_refined(pair, refined)
+        if context.check_rivals(pair, fit):
+            return None
+    return replace(context.result(fit, ACCEPTED), prepared=prepared)
+
+
+def _explains_all(context: PairContext, fit: MotionHypothesis) -> bool:
+    """Return whether a motion is determined, plausible, and leaves nothing to explain."""
+    options = context.options
+    return (
+        fit.agreement.overlap >= _MIN_OVERLAP
+        and fit.agreement.confirmed >= _MIN_CONFIRMED
+        and criteria.explains_all(fit)
+        and not acceptance.check_observable(fit, context.calibration.max_range_metres, options)
+        and not acceptance.check_plausible(fit, context.max_displacement_metres, options)
+    )

@@ -1,0 +1,182 @@
+"""Direct tracking: features for keyframes alone, and pixels that do not prove a motion."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from worlds import error_of, make_photographer, take
+
+import slamcli
+from slamcli.core.config import MapperOptions
+from slamcli.core.deferred import Deferred
+from slamcli.core.geometry import Pose2
+from slamcli.core.records import Frame, PreparedFrame
+from slamcli.mapping import preprocessing
+from slamcli.mapping.mapper import Mapper
+from slamcli.registration import align, direct
+from slamcli.simulation import photograph
+from slamcli.simulation.config import CameraOptions
+from slamcli.stages import dense
+
+CAMERA = CameraOptions(size=(400, 300), height_metres=0.2, pitch_degrees=45.0)
+STEP_METRES, TURN_RADIANS = 0.02, 0.02
+FRAMES = 16
+
+
+@pytest.fixture(scope="module")
+def photographer() -> photograph.Photographer:
+    return make_photographer(camera=CAMERA)
+
+
+@pytest.fixture(scope="module")
+def truth() -> list[Pose2]:
+    poses = [Pose2()]
+    for _ in range(FRAMES - 1):
+        poses.append(poses[-1] @ Pose2(STEP_METRES, 0.0, TURN_RADIANS))
+    return poses
+
+
+@pytest.fixture(scope="module")
+def pictures(photographer: photograph.Photographer, truth: list[Pose2]) -> list[np.ndarray]:
+    return [take(photographer, pose, index) for index, pose in enumerate(truth)]
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """Count the calls of the dear kernels."""
+    counted: Counter[str] = Counter()
+
+    def counting(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            counted[name] += 1
+            return function(*arguments, **options)
+
+        return call
+
+    features = preprocessing.features
+    monkeypatch.setattr(features, "extract", counting("extract", features.extract))
+    monkeypatch.setattr(align, "align", counting("align", align.align))
+    monkeypatch.setattr(dense, "refine", counting("refine", dense.refine))
+    monkeypatch.setattr(dense, "find_periods", counting("periods", dense.find_periods))
+    monkeypatch.setattr(cv2, "warpPerspective", counting("warp", cv2.warpPerspective))
+    monkeypatch.setattr(cv2, "GaussianBlur", counting("blur", cv2.GaussianBlur))
+    return counted
+
+
+def test_only_keyframes_have_features_and_most_frames_take_few_kernels(
+    photographer: photograph.Photographer,
+    pictures: list[np.ndarray],
+    truth: list[Pose2],
+    calls: Counter[str],
+) -> None:
+    mapper = Mapper(photographer.calibration)
+    each = []
+    for picture in pictures:
+        before = Counter(calls)
+        mapper.update(picture)
+        each.append(calls - before)
+    for estimate, pose in zip(mapper.estimates, truth, strict=True):
+        assert error_of(estimate, pose)[0] < 0.0002
+    # The first frame is a keyframe, and the second has no motion before it to expect.
+    with_features = [index for index, counted in enumerate(each) if counted["extract"]]
+    keyframes = [frame.index for frame in mapper._database.keyframes]
+    assert with_features == sorted({*keyframes, 1})
+    assert len(keyframes) < FRAMES / 2
+    assert calls["align"] == 1
+    tracked = [counted for index, counted in enumerate(each) if index not in with_features]
+    assert len(tracked) > FRAMES / 2
+    for counted in tracked:
+        assert counted["refine"] == 1
+        assert not counted["periods"]
+        # Of the picture and the mask for the agreement, and of two more for the correlation.
+        assert counted["warp"] == 4
+        # The details of three levels, and the contrast of one.
+        assert counted["blur"] <= 4
+    assert calls["refine"] <= 2 * FRAMES
+
+
+def test_features_are_the_same_whenever_they_are_extracted(
+    photographer: photograph.Photographer, pictures: list[np.ndarray]
+) -> None:
+    """What runs ahead on other threads may need them before or after the frame is placed."""
+    poses = []
+    for ahead in (False, True):
+        mapper = Mapper(photographer.calibration)
+        prepared = [
+            mapper.prepare(Frame(index, str(index), None, picture))
+            for index, picture in enumerate(pictures)
+        ]
+        if ahead:
+            for frame in reversed(prepared):
+                assert frame.features is not None
+                assert frame.repeats is not None
+        poses.append([mapper.step(frame).map_from_robot for frame in prepared])
+    assert poses[0] == poses[1]
+
+
+def tracked(
+    photographer: photograph.Photographer,
+    pictures: list[np.ndarray],
+    expected: Pose2,
+    sigma: float = 0.01,
+    change: Callable[[PreparedFrame], PreparedFrame] = lambda frame: frame,
+) -> slamcli.registration.RegistrationResult | None:
+    mapper = Mapper(photographer.calibration)
+    first, second = (
+        mapper.prepare(Frame(index, str(index), None, picture))
+        for index, picture in enumerate(pictures[:2])
+    )
+    prior = dense.MotionPrior(expected, np.diag([sigma, sigma, sigma]) ** 2)
+    return direct.track(
+        change(first), second, expected, photographer.calibration, MapperOptions(), prior
+    )
+
+
+def test_a_motion_is_found_by_pixels_alone(
+    photographer: photograph.Photographer, pictures: list[np.ndarray], calls: Counter[str]
+) -> None:
+    result = tracked(photographer, pictures, Pose2(STEP_METRES + 0.004, 0.004, 0.0))
+    assert result is not None
+    assert result.link is not None
+    error = Pose2(STEP_METRES, 0.0, TURN_RADIANS).inverse() @ result.link.a_from_b
+    assert error.translation_length < 0.0001
+    assert abs(math.degrees(error.theta)) < 0.02
+    assert result.link.score > 0.9
+    assert (result.link.inliers, calls["extract"]) == (0, 0)
+
+
+def test_a_surprising_motion_is_not_accepted(
+    photographer: photograph.Photographer, pictures: list[np.ndarray]
+) -> None:
+    assert tracked(photographer, pictures, Pose2(STEP_METRES + 0.004), 0.0005) is None
+
+
+def test_pixels_that_disagree_prove_nothing(
+    photographer: photograph.Photographer, pictures: list[np.ndarray]
+) -> None:
+    hidden = pictures[1].copy()
+    hidden[:, 150:] = take(make_photographer(seed=9, camera=CAMERA), Pose2(5.0, 5.0))[:, 150:]
+    assert tracked(photographer, [pictures[0], hidden], Pose2(STEP_METRES)) is None
+
+
+def test_a_floor_that_repeats_proves_nothing_where_its_rival_fits(
+    photographer: photograph.Photographer,
+    pictures: list[np.ndarray],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A rival as good as the motion, one period of the keyframe on."""
+    monkeypatch.setattr(direct.PairContext, "check_rivals", lambda *_: "ambiguous")
+    expected = Pose2(STEP_METRES, 0.0, TURN_RADIANS)
+    assert tracked(photographer, pictures, expected) is not None
+
+    def repeating(frame: PreparedFrame) -> PreparedFrame:
+        return replace(frame, periodicity=Deferred.of(np.array([[0.02, 0.0]])))
+
+    assert tracked(photographer, pictures, expected, change=repeating) is None
