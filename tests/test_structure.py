@@ -30,6 +30,8 @@ FLOORS = {
 TOP = max(FLOORS.values())
 ONE_ROOM = {
     "av": ("io/containers/video",),
+    "imageio": ("io/containers/pages",),
+    "pillow_heif": ("io/containers/heic",),
     "rosbags": ("io/containers/bag",),
     "dask": ("run/session/cluster",),
     "distributed": ("run/session/cluster",),
@@ -151,7 +153,7 @@ def loaded_by(statements: str) -> set[str]:
     return set(done.stderr.split())
 
 
-HEAVY = {"cv2", "numpy", "scipy", "gtsam", "simplejpeg", "tqdm", "yaml"}
+HEAVY = {"cv2", "numpy", "scipy", "gtsam", "simplejpeg", "tqdm", "yaml", "imageio", "PIL"}
 RUN_MAIN = "from slamcli.cli.entry import main\ntry:\n    main()\nexcept SystemExit:\n    pass"
 
 

@@ -11,7 +11,8 @@ from slamcli.core.arrays import UInt8Array
 from slamcli.core.config import FrameSelection
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.records import Frame
-from slamcli.io.containers.listing import parts_of
+from slamcli.io.containers.heic import HEIC_SUFFIXES, can_read_heic, heic_picture
+from slamcli.io.containers.listing import is_container, parts_of
 from slamcli.io.containers.part import Part, Progress, digest_of, silent
 from slamcli.io.images import canvas
 from slamcli.io.images.decoding import (
@@ -24,22 +25,13 @@ from slamcli.io.images.decoding import (
 )
 from slamcli.io.images.light import StaticLight
 from slamcli.io.images.own import is_marked
-from slamcli.io.stamps import stamps_of_names
+from slamcli.io.picture_files import Listed, listed, stamped
 
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
 )
 _DEEP_SUFFIXES = frozenset({".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff"})
 _MAX_SAMPLE_BITS = 16
-
-
-@dataclass(frozen=True, slots=True)
-class _Listed:
-    """A picture that was found: its file, which part of it, and its own stamp."""
-
-    path: Path
-    part: Part | None = None
-    stamp: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,21 +120,24 @@ def list_frames(
     InputError
         When a source does not exist, or there is no picture at all.
     """
-    found: list[_Listed] = []
+    found: list[Listed] = []
     for source in sources:
         if not source.exists():
             raise InputError(f"{source} does not exist; give a folder of frames or image files")
         parts = parts_of(source, selection or FrameSelection(), progress)
         if parts is not None:
-            found += [_Listed(source, part, part.stamp) for part in parts]
+            # A frame rate takes their place.
+            own = frame_rate is None
+            found += [Listed(source, part, part.stamp if own else None) for part in parts]
         elif source.is_dir():
-            found += _stamped(_pictures_in(source), frame_rate, ordered=False)
+            pictures = [one for path in _pictures_in(source) for one in listed(path)]
+            found += stamped(pictures, frame_rate, ordered=False)
         else:
-            found.append(_Listed(source))
-    named = set(sources)
-    alone = [n for n, one in enumerate(found) if one.part is None and one.path in named]
-    stamped = _stamped([found[n].path for n in alone], frame_rate, ordered=True)
-    for number, one in zip(alone, stamped, strict=True):
+            found += listed(source)
+    named = {source for source in sources if not is_container(source)}
+    alone = [number for number, one in enumerate(found) if one.path in named]
+    in_order = stamped([found[number] for number in alone], frame_rate, ordered=True)
+    for number, one in zip(alone, in_order, strict=True):
         found[number] = one
     if not found:
         suffixes = " ".join(sorted(IMAGE_SUFFIXES))
@@ -222,31 +217,23 @@ def _pictures_in(folder: Path) -> list[Path]:
     inner = folder / "frames"
     if inner.is_dir() and inner in entries:
         return _pictures_in(inner)
+    suffixes = IMAGE_SUFFIXES | (HEIC_SUFFIXES if can_read_heic() else frozenset())
     pictures = [
         path
         for path in entries
-        if path.suffix.lower() in IMAGE_SUFFIXES
+        if path.suffix.lower() in suffixes
         and not path.name.startswith(".")
         and not path.is_dir()
         and not is_marked(path)
     ]
+    heic = next((path for path in entries if path.suffix.lower() in HEIC_SUFFIXES), None)
+    if heic is not None and not pictures:
+        heic_picture(heic)
     return sorted(pictures, key=lambda path: natural_key(path.name))
 
 
-def _stamped(paths: Sequence[Path], frame_rate: float | None, *, ordered: bool) -> list[_Listed]:
-    """Return pictures with the stamps of their names, in whose order they are unless it is given.
-
-    A frame rate takes the place of stamps that may be something else.
-    """
-    stamps = stamps_of_names([path.stem for path in paths])
-    if stamps is None or (frame_rate is not None and not stamps.sure):
-        return [_Listed(path) for path in paths]
-    found = [_Listed(path, None, stamp) for path, stamp in zip(paths, stamps.seconds, strict=True)]
-    return found if ordered else sorted(found, key=lambda one: one.stamp or 0.0)
-
-
-def _stamp(one: _Listed, index: int, frame_rate: float | None) -> float | None:
-    if frame_rate is None or (one.part is None and one.stamp is not None):
+def _stamp(one: Listed, index: int, frame_rate: float | None) -> float | None:
+    if one.stamp is not None or frame_rate is None:
         return one.stamp
     return index / frame_rate
 

@@ -12,12 +12,15 @@ import yaml
 
 from slamcli.core.config import FrameSelection
 from slamcli.core.errors import InputError, SlamcliError
+from slamcli.core.telemetry import GPS_SIGMA_METRES
 from slamcli.io.containers.bag import is_bag
 from slamcli.io.containers.bag_frames import BagFrame
 from slamcli.io.containers.bag_readings import antenna_metres, camera_info
+from slamcli.io.containers.listing import is_container
 from slamcli.io.files import write_bytes, write_image, write_text
 from slamcli.io.frames import FrameFile, list_frames
 from slamcli.io.outputs import output_folder
+from slamcli.io.picture_files import photo_info_of
 from slamcli.io.telemetry import (
     read_compass,
     read_gps,
@@ -61,7 +64,8 @@ def extract(
         work = partial(_write_frame, staging / FRAMES)
         results = each_frame("extracting", work, files, session)
         skipped = [one.reason for one in results if isinstance(one, Skipped)]
-        readings = [
+        readings = _of_photos(files, staging)
+        readings += [
             line for path in inputs if is_bag(path) for line in _of_bag(path, files, staging)
         ]
     lines = [
@@ -86,7 +90,21 @@ def _write_frame(folder: Path, file: FrameFile) -> None:
     if isinstance(content, bytes):
         write_bytes(folder / file.name, content)
     else:
-        write_image(folder / file.name, content)
+        write_image(folder / Path(file.name).with_suffix(".png"), content)
+
+
+def _of_photos(files: Sequence[FrameFile], staging: Path) -> list[str]:
+    """Write the places that photos have, by the stamps of their frames; return a line for them."""
+    photos = [file for file in files if not is_container(file.path) and file.stamp is not None]
+    infos = [(file.stamp, photo_info_of(file.path)) for file in photos]
+    placed = [(s, info, info.place_degrees) for s, info in infos if s is not None]
+    known = [(s, info, place) for s, info, place in placed if place is not None]
+    if not known:
+        return []
+    sigmas = [info.place_sigma_metres or GPS_SIGMA_METRES for _, info, _ in known]
+    places = np.array([place for _, _, place in known])
+    write_gps(staging / GPS, [stamp for stamp, _, _ in known], places, sigmas)
+    return [f"{GPS:<12} {len(known)} readings of {len(files)} photos, for --gps"]
 
 
 def _of_bag(path: Path, files: Sequence[FrameFile], staging: Path) -> list[str]:

@@ -72,7 +72,7 @@ def open_inputs(
         path = next((path for path in _calibration_paths(sources, files) if path.is_file()), None)
         note = "" if path is None else f"calibration found: {path}"
     taken = taken_notes(files)
-    unread = unread_note([file.path for file in files if file.part is None])
+    unread = unread_note(files)
     if path is None:
         calibration = top_down_calibration(_common_size(files))
         note = "no calibration: top-down frames, pixel units"
@@ -87,7 +87,8 @@ def open_inputs(
 
 def taken_notes(files: Sequence[FrameFile]) -> list[str]:
     """Return a line for each video or bag: how many of its frames were taken."""
-    return list(dict.fromkeys(file.part.note for file in files if file.part is not None))
+    notes = dict.fromkeys(file.part.note for file in files if file.part is not None)
+    return [note for note in notes if note]
 
 
 def _lines(*notes: str) -> str:

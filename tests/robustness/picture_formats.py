@@ -129,7 +129,7 @@ def foreign() -> list[bytes]:
 
 def read(path: Path) -> None:
     """Read a picture in every way, and compare the ways with one another."""
-    unread_note([path])
+    unread_note(list_frames([path]))
     (file,) = list_frames([path])
     try:
         image = read_image(path)

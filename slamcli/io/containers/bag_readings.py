@@ -12,7 +12,13 @@ import numpy as np
 from slamcli.core.arrays import Float64Array
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2
-from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
+from slamcli.core.telemetry import (
+    COMPASS_SIGMA_RADIANS,
+    GPS_SIGMA_METRES,
+    CompassReading,
+    GpsReading,
+    OdometryReading,
+)
 from slamcli.io.containers.bag import Bag, Message, is_bag
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -21,8 +27,6 @@ HEADINGS = "sensor_msgs/msg/Imu"
 LENSES = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
 _STATIC = "/tf_static"
-# Where a message gives no covariance: typical of cheap sensors, as in the CSV tables.
-_HEADING_SIGMA_RADIANS, _POSITION_SIGMA_METRES = math.radians(3.0), 3.0
 _ROBOT_FRAMES = frozenset({"base_link", "base_footprint"})
 _MAX_TRANSFORMS = 100_000
 
@@ -202,7 +206,7 @@ def _position(message: Message) -> GpsReading | None:
         return None
     variance = 0.5 * float(fix.position_covariance[0] + fix.position_covariance[4])
     known = fix.position_covariance_type > 0 and variance > 0.0
-    sigma = math.sqrt(variance) if known else _POSITION_SIGMA_METRES
+    sigma = math.sqrt(variance) if known else GPS_SIGMA_METRES
     return GpsReading(_seconds(message), float(fix.latitude), float(fix.longitude), sigma)
 
 
@@ -213,5 +217,5 @@ def _heading(message: Message) -> CompassReading | None:
     if covariance[0] < 0.0 or (turn.w, turn.x, turn.y, turn.z) == (0.0, 0.0, 0.0, 0.0):
         return None
     variance = float(covariance[8])
-    sigma = math.sqrt(variance) if variance > 0.0 else _HEADING_SIGMA_RADIANS
+    sigma = math.sqrt(variance) if variance > 0.0 else COMPASS_SIGMA_RADIANS
     return CompassReading(_seconds(message), _yaw(turn), sigma)

@@ -14,6 +14,11 @@ from slamcli.io.containers.video import VIDEO_SUFFIXES, video_frames
 CONTAINER_SUFFIXES = VIDEO_SUFFIXES | BAG_SUFFIXES
 
 
+def is_container(path: Path) -> bool:
+    """Return whether a path is a video or a bag."""
+    return is_bag(path) or (path.suffix.lower() in VIDEO_SUFFIXES and not path.is_dir())
+
+
 def parts_of(path: Path, selection: FrameSelection, progress: Progress) -> Sequence[Part] | None:
     """Return the chosen frames of a video or a bag; None for any other file or folder.
 
@@ -23,6 +28,4 @@ def parts_of(path: Path, selection: FrameSelection, progress: Progress) -> Seque
     """
     if is_bag(path):
         return bag_frames(path, selection, progress)
-    if path.suffix.lower() in VIDEO_SUFFIXES and not path.is_dir():
-        return video_frames(path, selection, progress)
-    return None
+    return video_frames(path, selection, progress) if is_container(path) else None

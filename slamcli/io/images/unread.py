@@ -6,7 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from slamcli.io.frames import IMAGE_SUFFIXES
+from slamcli.io.containers.listing import is_container
+from slamcli.io.frames import IMAGE_SUFFIXES, FrameFile
 from slamcli.io.images import plain, png, tiff, webp
 from slamcli.io.images.own import is_marked
 
@@ -17,8 +18,9 @@ _COMPANIONS = frozenset(
         *(".jgw", ".pgw", ".tfw"),
     }
 )
+_HEIC = "HEIC"
 _NAMES = {
-    **dict.fromkeys((".heic", ".heif"), "HEIC"),
+    **dict.fromkeys((".heic", ".heif"), _HEIC),
     **dict.fromkeys((".avif",), "AVIF"),
     **dict.fromkeys((".gif",), "GIF"),
     **dict.fromkeys((".jp2", ".j2k"), "JPEG 2000"),
@@ -35,17 +37,19 @@ _MANY = (
 )
 
 
-def unread_note(paths: Sequence[Path]) -> str:
+def unread_note(files: Sequence[FrameFile]) -> str:
     """Return what is not read of the folders of the frames and of their files; empty for nothing.
 
     Parameters
     ----------
-    paths : the frames' files
+    files : sequence of FrameFile
+        Of the frames; of those that are parts only the folder is looked at.
     """
-    frames = set(paths)
+    frames = {file.path for file in files if not file.path.is_dir()}
+    paths = [file.path for file in files if file.part is None]
     kinds: Counter[str] = Counter()
     drawings: list[str] = []
-    for folder in {path.parent for path in paths}:
+    for folder in {path.parent for path in frames if not is_container(path)}:
         beside = _files_in(folder) - frames
         pictures = {path for path in beside if path.suffix.lower() in IMAGE_SUFFIXES}
         own = {path for path in pictures if is_marked(path)}
@@ -54,6 +58,8 @@ def unread_note(paths: Sequence[Path]) -> str:
             drawings += sorted(path.name for path in own)
             kinds.update(_NAMES.get(path.suffix.lower(), _OTHER) for path in beside - own)
     notes = [_count(count, f"{kind} file") for kind, count in sorted(kinds.items())]
+    if kinds[_HEIC]:
+        notes.append("HEIC needs pip install 'slamcli[heic]'")
     if drawings:
         notes.append(f"{_count(len(drawings), 'picture')} made by slamcli ({drawings[0]})")
     further: Counter[str] = Counter()
