@@ -59,6 +59,8 @@ COMMANDS = {
     "warp": ["warp", "frames", "-o", "out"],
     "detect": ["detect", "frames", "-o", "out"],
     "match": ["match", "frames/0.png", "frames/1.png", "-o", "out.png"],
+    "extract": ["extract", "drive.avi", "-o", "out"],
+    "view": ["view", "map", "--no-browser"],
     "evaluate": ["evaluate", "poses.csv", "poses.csv", "--json"],
     "calibrate": ["calibrate", str(_SQUARE), "-o", "out.yaml"],
     "simulate": [
@@ -66,6 +68,7 @@ COMMANDS = {
         *("--length", "0.1"),
     ],
 }
+_OF_VIDEOS = frozenset({"--every", "--fps", "--from", "--to"})
 _NAV, _GEOTIFF = ["--format", "nav2"], ["--format", "geotiff"]
 BESIDE = {
     "--nav-resolution": _NAV,
@@ -134,6 +137,8 @@ def option_cases() -> Iterator[Case]:
         words = [*COMMANDS[command], *BESIDE.get(flag, [])]
         if (command, flag) == ("stitch", "--height"):
             words = ["stitch", "plain", "-o", "out"]
+        if command == "stitch" and flag in _OF_VIDEOS:
+            words = ["stitch", "drive.avi", "-c", "frames/calibration.yaml", "-o", "out"]
         texts: list[str]
         if isinstance(kind, Bytes):
             texts = ["0", "1M", "999k", "1000T", "1001T", "20M", "100G"]
@@ -197,6 +202,10 @@ def set_up() -> None:
             picture = take(photographer, Pose2(0.02 * number), number)
             cv2.imwrite(f"{folder}/{number}.png", picture)
     save_calibration(Path("frames/calibration.yaml"), photographer.calibration)
+    video = cv2.VideoWriter("drive.avi", cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (160, 120))
+    for number in range(FRAMES):
+        video.write(take(photographer, Pose2(0.02 * number), number))
+    video.release()
     for name, text in TABLES.items():
         Path(name).write_text(text)
     if not Path("map").exists():
@@ -221,7 +230,8 @@ def outcome_of(case: Case) -> Outcome:
     child = os.fork()
     if child == 0:
         _child(case.words, log)
-    status, usage = _wait(child, started)
+    limit = 3.0 * MAX_SECONDS if case.words[0] == "view" else _WAIT_SHARE * MAX_SECONDS
+    status, usage = _wait(child, started + limit)
     seconds, said = usage.ru_utime + usage.ru_stime, log.read_text(errors="replace")
     for name in case.files:
         if name in TABLES:
@@ -254,13 +264,13 @@ def _child(words: list[str], log: Path) -> None:
         os._exit(code)
 
 
-def _wait(child: int, started: float) -> tuple[int, Any]:
+def _wait(child: int, deadline: float) -> tuple[int, Any]:
     """Return the status and the resources of a child, which is killed when it hangs."""
     while True:
         found, status, usage = os.wait4(child, os.WNOHANG)
         if found:
             return status, usage
-        if time.monotonic() - started > _WAIT_SHARE * MAX_SECONDS:
+        if time.monotonic() > deadline:
             os.killpg(child, signal.SIGKILL)
         time.sleep(0.01)
 
@@ -271,10 +281,9 @@ def _kind(case: Case, status: int, said: str) -> tuple[str, str]:
     if "Traceback" in said:
         return "traceback", said[-1500:]
     if os.WIFSIGNALED(status):
-        files = sum(len(files) for _, _, files in os.walk("."))
         if os.WTERMSIG(status) not in {signal.SIGXCPU, signal.SIGKILL}:
             return "traceback", f"signal {os.WTERMSIG(status)}: {last}"
-        return ("at work" if _works(case, files) else "hang"), last
+        return ("at work" if _works(case, said) else "hang"), last
     code = os.WEXITSTATUS(status)
     if code in {1, 2}:
         told = sum(line.startswith("Error: ") for line in lines) == 1 and len(said) < 2000
@@ -288,8 +297,11 @@ def _kind(case: Case, status: int, said: str) -> tuple[str, str]:
     return ("silent wrong", fault) if fault else ("clean", last)
 
 
-def _works(case: Case, files: int) -> bool:
-    """Return whether a command that was asked for much has begun to write it."""
+def _works(case: Case, said: str) -> bool:
+    """Return whether a command that was asked for much, or for ever, does it."""
+    if case.words[0] == "view":
+        return "http://" in said
+    files = sum(len(files) for _, _, files in os.walk("."))
     return case.words[0] == "simulate" and files > len(TABLES) + 20
 
 
@@ -314,7 +326,7 @@ def _fault(words: list[str]) -> str:
 def _fault_of_map(words: list[str], out: Path) -> str:
     with (out / "poses.csv").open() as stream:
         rows = list(csv.DictReader(stream))
-    if len(rows) != FRAMES:
+    if len(rows) != FRAMES and "drive.avi" not in words:
         return f"{len(rows)} rows in poses.csv"
     numbers = [float(row[name]) for row in rows for name in ("x", "y", "heading") if row["x"]]
     if not all(map(math.isfinite, numbers)):
