@@ -72,10 +72,11 @@ class Outcome:
 def formats() -> dict[str, Format]:
     """Return all kinds of input, by name."""
     sys.path[:0] = [str(HERE), str(HERE.parent)]
+    import container_formats
     import picture_formats
     import table_formats
 
-    return {**picture_formats.FORMATS, **table_formats.FORMATS}
+    return {**picture_formats.FORMATS, **table_formats.FORMATS, **container_formats.FORMATS}
 
 
 def mutation(name: str, kind: Format, corpus: Sequence[bytes], number: int) -> bytes:
