@@ -310,8 +310,8 @@ def _fault(words: list[str]) -> str:
     command, out = words[0], Path("out")
     if command == "stitch":
         return _fault_of_map(words, out)
-    if command == "render" and cv2.imread(str(out / "mosaic.png")) is None:
-        return "no mosaic"
+    if command == "render" and not _has_map(out):
+        return "no map"
     if command in {"warp", "detect"}:
         pictures = [cv2.imread(str(path)) for path in out.glob("*.png")]
         if sum(picture is not None for picture in pictures) != FRAMES:
@@ -331,10 +331,13 @@ def _fault_of_map(words: list[str], out: Path) -> str:
     numbers = [float(row[name]) for row in rows for name in ("x", "y", "heading") if row["x"]]
     if not all(map(math.isfinite, numbers)):
         return "poses that are not finite"
-    mosaic = out / ("mosaic.tif" if _GEOTIFF[1] in words else "mosaic.png")
-    if numbers and (not mosaic.exists() or cv2.imread(str(mosaic)) is None):
-        return "placed, but there is no mosaic"
-    return ""
+    return "placed, but there is no map" if numbers and not _has_map(out) else ""
+
+
+def _has_map(out: Path) -> bool:
+    """Return whether there is a map, in one of the formats, that can be read."""
+    maps = [out / name for name in ("mosaic.png", "mosaic.tif", "nav2.pgm")]
+    return any(path.exists() and cv2.imread(str(path)) is not None for path in maps)
 
 
 def main() -> int:

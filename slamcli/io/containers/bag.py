@@ -169,8 +169,9 @@ class Bag:
         """Turn whatever the parsers raise on a damaged bag into an InputError."""
         try:
             yield
-        except (SlamcliError, MemoryError, GeneratorExit):
+        except (SlamcliError, GeneratorExit):
             raise
         except Exception as error:
+            # Of memory, too, when a length in a damaged bag is beyond all bounds.
             reason = " ".join(str(error).split()) or type(error).__name__
             raise InputError(f"cannot read the bag {self.path}: {reason}") from error

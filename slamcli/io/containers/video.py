@@ -10,7 +10,7 @@ import stat
 from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +21,8 @@ import numpy as np
 
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.config import FrameSelection
-from slamcli.core.errors import FrameError, InputError
+from slamcli.core.errors import FrameError, InputError, SlamcliError
+from slamcli.core.failures import logged
 from slamcli.io.containers.choice import Candidate, Counts, choose
 from slamcli.io.containers.part import Progress, digest_of, silent
 from slamcli.io.images.exif import turn
@@ -107,7 +108,7 @@ def video_frames(
     """
     taken: list[tuple[int, float, tuple[int, int]]] = []
     counts, keyframes, digests = Counts(), list[int](), dict[int, bytes]()
-    with _Reader(path) as reader:
+    with _refused(path), _Reader(path) as reader:
         candidates = _candidates(reader, keyframes, progress)
         for one in choose(candidates, selection, reader.step_seconds, counts):
             pixels, shown = reader.pixels(one.payload), one.payload.pts
@@ -119,7 +120,8 @@ def video_frames(
         counts.all += reader.damaged
     if not taken:
         raise InputError(f"{path} has no frame that can be read in the part that was chosen")
-    video = Video(path, tuple(keyframes), digests)
+    # Without any, decoding begins with the first frame.
+    video = Video(path, tuple(keyframes) or (taken[0][0],), digests)
     note = counts.note(path.name, len(taken))
     return [
         VideoFrame(video, shown, f"{seconds:.6f}.png", seconds, size, note)
@@ -176,9 +178,10 @@ class Video:
         """Return a chosen frame's pixels, turned: (H, W) or (H, W, 3) uint8; raises FrameError."""
         with self._lock:
             try:
-                while presentation not in self._kept:
-                    self._go_to(presentation)
-                    self._decode_to(presentation)
+                with _refused(self._path):
+                    while presentation not in self._kept:
+                        self._go_to(presentation)
+                        self._decode_to(presentation)
             except InputError as error:
                 raise FrameError(f"cannot be read: {error}") from error
             self._kept.move_to_end(presentation)
@@ -244,6 +247,8 @@ class _Reader:
         try:
             self._stream = self._container.streams.video[0]
             context = self._stream.codec_context
+            if context is None:
+                raise FrameError("there is no decoder of its pictures")
             self._size = context.width, context.height
             Header(*self._size)
         except (IndexError, FrameError) as error:
@@ -355,8 +360,19 @@ def _opened(av: Any, path: Path) -> Any:
         # The prefix keeps a name with a colon from being taken for an address.
         name = f"file:{path.absolute()}"
         return av.open(name, format=kind, options={"protocol_whitelist": "file"})
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, av.FFmpegError) as error:
         raise _unread(path, getattr(error, "strerror", None) or str(error)) from error
+
+
+@contextmanager
+def _refused(path: Path) -> Iterator[None]:
+    """Turn whatever the decoders raise on a damaged video into an InputError."""
+    try:
+        yield
+    except SlamcliError:
+        raise
+    except Exception as error:
+        raise _unread(path, logged(error)) from error
 
 
 def _pyav(path: Path) -> Any:
