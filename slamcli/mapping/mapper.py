@@ -26,6 +26,7 @@ from slamcli.core.telemetry import (
     OdometryReading,
     TelemetryOptions,
 )
+from slamcli.mapping import camera_tilt
 from slamcli.mapping.backend.backend import MIN_EXTENT_SHARE, Backend
 from slamcli.mapping.backend.calibration_error import with_calibration_error
 from slamcli.mapping.backend.pose_graph import lost
@@ -299,6 +300,7 @@ class Mapper:
         for result, link in accepted:
             if link.kind == "step" and result.keyframe not in self._tracking.keyframes:
                 self._add_keyframe(result.keyframe)
+            camera_tilt.add_link(result, self._tracking, self.options)
         estimate = self._backend.place(prepared, links)
         self._motion_model.update(prepared.index)
         last_lost, self._tracking.last_lost = self._tracking.last_lost, None

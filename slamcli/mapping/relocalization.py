@@ -16,6 +16,7 @@ from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Features, Link, PreparedFrame
+from slamcli.mapping import camera_tilt
 from slamcli.mapping.backend.pose_graph import PoseGraphReader
 from slamcli.mapping.keyframes import KeyframeDatabase
 from slamcli.registration import RegistrationResult, direct, register
@@ -95,7 +96,11 @@ class Relocalizer:
     ) -> RegistrationResult:
         """Register a frame to a keyframe near a guess; a link is of kind ``loop``."""
         keyframe = self.database.decode(a)
-        result = register(keyframe, prepared, guess, self._calibration, self._options, prior=prior)
+        result = camera_tilt.without_unusual(
+            register(keyframe, prepared, guess, self._calibration, self._options, prior=prior),
+            [],
+            self._options,
+        )
         if result.link is None:
             return result
         # Boards of one print lie beside boards that differ: most of the floor must be the same.

@@ -72,6 +72,7 @@ class TrackingFrames:
     motion: Pose2 | None
     motion_frame: int
     prediction_errors: list[tuple[float, float]]
+    tilts_radians: list[float]
 
     @property
     def indices(self) -> set[int]:

@@ -6,6 +6,7 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import PreparedFrame
+from slamcli.mapping import camera_tilt
 from slamcli.mapping.motion_model import MotionModel
 from slamcli.mapping.tracking_state import TrackingState
 from slamcli.registration import RegistrationResult, direct, register
@@ -103,7 +104,10 @@ class Tracker:
         """Register one frame to another; the parameters are those of `registration.register`."""
         calibration, options = self._calibration, self._options
         prior = self._motion_model.prior(keyframe, prepared)
-        return register(keyframe, prepared, guess, calibration, options, window=window, prior=prior)
+        result = register(
+            keyframe, prepared, guess, calibration, options, window=window, prior=prior
+        )
+        return camera_tilt.without_unusual(result, self._tracking.tilts_radians, options)
 
     def _track_directly(
         self, keyframe: PreparedFrame, prepared: PreparedFrame, guess: Pose2 | None

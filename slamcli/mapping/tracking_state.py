@@ -30,6 +30,9 @@ class TrackingState:
         Index of the second of these.
     prediction_errors : list of (float, float)
         By how much the latest motions differed from the ones before: metres, radians.
+    tilts_radians : list of float
+        The camera's tilt, off the calibration's, in the latest links that many features support or
+        that need none.
     """
 
     keyframes: list[PreparedFrame] = field(default_factory=list)
@@ -39,6 +42,7 @@ class TrackingState:
     motion: Pose2 | None = None
     motion_frame: int = 0
     prediction_errors: list[tuple[float, float]] = field(default_factory=list)
+    tilts_radians: list[float] = field(default_factory=list)
 
     def forget_lost(self, is_placed: Callable[[int], bool]) -> None:
         """Leave out the keyframes that are lost by now, and with them what followed from them."""
@@ -56,6 +60,7 @@ class TrackingState:
             self.motion,
             self.motion_frame,
             list(self.prediction_errors),
+            list(self.tilts_radians),
         )
 
     def restore(self, saved: TrackingFrames, prepared: Mapping[int, PreparedFrame]) -> None:
@@ -69,3 +74,4 @@ class TrackingState:
         self.last_lost = of(saved.last_lost)
         self.motion, self.motion_frame = saved.motion, saved.motion_frame
         self.prediction_errors = list(saved.prediction_errors)
+        self.tilts_radians = list(saved.tilts_radians)

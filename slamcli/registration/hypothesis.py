@@ -54,6 +54,8 @@ class MotionHypothesis:
         Metres to metres: the motion as the views show it, each with its frame's rocking.
     rocking_suspected : bool
         Whether the residuals suggest that the camera rocked more than this motion allows for.
+    tilt_radians : float
+        The largest tilt of either frame's camera, off the calibration's, that the motion includes.
     """
 
     pose: Pose2
@@ -63,6 +65,7 @@ class MotionHypothesis:
     correlation: float
     view_a_from_view_b: Float64Array
     rocking_suspected: bool = False
+    tilt_radians: float = 0.0
 
     @property
     def includes_rocking(self) -> bool:
@@ -102,7 +105,10 @@ def score_refined(pair: PyramidPair, refined: dense.PhotometricFit) -> MotionHyp
     scored = photometric_score(
         pair, refined.a_from_b, refined.covariance, refined.view_a_from_view_b
     )
-    return replace(scored, rocking_suspected=refined.rocking_suspected)
+    tilts = [0.0, *np.abs(refined.mounting_a[:2]), *np.abs(refined.mounting_b[:2])]
+    return replace(
+        scored, rocking_suspected=refined.rocking_suspected, tilt_radians=float(max(tilts))
+    )
 
 
 def score_coarsely(pair: PyramidPair, refined: dense.PhotometricFit) -> MotionHypothesis:

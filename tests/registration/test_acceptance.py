@@ -214,7 +214,7 @@ def test_a_rival_that_remains_makes_a_motion_ambiguous() -> None:
     assert acceptance.check_rivals(fit_of(), None) == ""
 
 
-@pytest.mark.parametrize(("sigma", "rejected"), [(0.0299, False), (0.0301, True)])
+@pytest.mark.parametrize(("sigma", "rejected"), [(0.0139, False), (0.0141, True)])
 def test_a_motion_is_open_where_its_sigma_is_too_large_a_share_of_the_range(
     sigma: float, rejected: bool
 ) -> None:
@@ -232,7 +232,7 @@ def test_the_open_direction_is_the_widest_of_the_covariance() -> None:
     assert reason.startswith(f"the motion is open along {math.degrees(0.5):.0f} degrees")
 
 
-@pytest.mark.parametrize(("sigma", "rejected"), [(0.0299, False), (0.0301, True)])
+@pytest.mark.parametrize(("sigma", "rejected"), [(0.0139, False), (0.0141, True)])
 def test_a_turn_is_open_where_its_sigma_is_too_large(sigma: float, rejected: bool) -> None:
     reason = acceptance.check_observable(fit_of(sigmas=(0.001, 0.001, sigma)), 2.0, OPTIONS)
     assert reason.startswith("the turn is open") is rejected

@@ -72,7 +72,7 @@ class MapperOptions:
     search_share_of_range: float = 0.25
     min_dense_score: float = 0.45
     max_rival_evidence: float = 0.75
-    max_sigma_share: float = 0.015
+    max_sigma_share: float = 0.007
     max_step_metres: float | None = None
     max_hypotheses: int = 3
     convincing_inliers: int = 120

@@ -24,7 +24,7 @@ from slamcli.run.stitch.options import StitchOptions
 
 # Raised whenever a class of the saved state moves or changes its fields: an older state is then
 # another run's, of which there is nothing to resume.
-_STATE_LAYOUT = 5
+_STATE_LAYOUT = 6
 # A state is saved at most so often, and takes at most this share of the time.
 _SAVE_SECONDS, _MAX_SAVE_SHARE = 5.0, 0.05
 
