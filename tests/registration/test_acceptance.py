@@ -221,7 +221,7 @@ def test_a_motion_is_open_where_its_sigma_is_too_large_a_share_of_the_range(
     reason = acceptance.check_observable(fit_of(sigmas=(0.001, sigma, 0.001)), 2.0, OPTIONS)
     assert bool(reason) is rejected
     if rejected:
-        assert reason.startswith("the motion is open along 90 degrees (one sigma 0.03)")
+        assert reason.startswith("the motion is open along 90 degrees (one sigma 0.014)")
 
 
 def test_the_open_direction_is_the_widest_of_the_covariance() -> None:
