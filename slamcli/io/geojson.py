@@ -1,15 +1,24 @@
-"""Trajectories as GeoJSON (RFC 7946), for QGIS and web maps."""
+"""Trajectories and obstacles as GeoJSON (RFC 7946), for QGIS and web maps."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 from slamcli.core.arrays import Float64Array
 from slamcli.io.files import write_text
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Polygon:
+    """An outline, (N, 2) in the map, counter-clockwise, and what is known of it."""
+
+    corners: Float64Array
+    properties: Mapping[str, object]
 
 
 def write_geojson(path: Path, tracks: Mapping[int, Float64Array]) -> None:
@@ -48,3 +57,23 @@ def _geometry(coordinates: list[list[float]]) -> dict[str, object]:
     if len(lines) == 1:
         return {"type": "LineString", "coordinates": lines[0]}
     return {"type": "MultiLineString", "coordinates": lines}
+
+
+def write_polygons(path: Path, polygons: Sequence[Polygon], unit: str = "m") -> None:
+    """Write outlines in lengths of the map, as the collection's own member says.
+
+    GeoJSON's coordinates are degrees by default; those of a floor have no place on Earth.
+    """
+    features = []
+    for polygon in polygons:
+        ring = [[round(x, 6), round(y, 6)] for x, y in polygon.corners.tolist()]
+        geometry = {"type": "Polygon", "coordinates": [[*ring, ring[0]]]}
+        features.append(
+            {"type": "Feature", "properties": dict(polygon.properties), "geometry": geometry}
+        )
+    collection = {
+        "type": "FeatureCollection",
+        "coordinates": f"{unit} in the map frame",
+        "features": features,
+    }
+    write_text(path, json.dumps(collection) + "\n")

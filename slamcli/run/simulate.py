@@ -20,6 +20,7 @@ from slamcli.io import telemetry
 from slamcli.io.calibrations import save_calibration
 from slamcli.io.files import write_image
 from slamcli.io.frames import read_image
+from slamcli.io.geojson import Polygon, write_polygons
 from slamcli.io.outputs import output_folder
 from slamcli.io.trajectories import read_path
 from slamcli.run.command_report import Report
@@ -32,6 +33,7 @@ PRODUCTS = (
     "frames",
     "square.png",
     "truth.csv",
+    "obstacles.geojson",
     "odometry.csv",
     "compass.csv",
     "gps.csv",
@@ -75,8 +77,9 @@ def simulate(
     poses = _poses(options)
     # The course's floor is laid around its board, not around the first frame's robot.
     world_from_map = COURSE_START if options.floor == "course" else Pose2()
+    world = _world(options, calibration, poses, world_from_map)
     photographer = photograph.Photographer(
-        _world(options, calibration, poses, world_from_map),
+        world,
         calibration,
         options.imaging,
         options.seed,
@@ -95,6 +98,7 @@ def simulate(
             write_image(staging / "frames" / name, image, jpeg_quality=options.jpeg_quality)
         write_image(staging / "square.png", square)
         telemetry.write_truth(staging / "truth.csv", names, stamps, poses[:-1])
+        write_polygons(staging / "obstacles.geojson", _obstacles(world, world_from_map))
         _write_sensors(staging, options, stamps, poses[:-1])
         save_calibration(staging / "camera.yaml", calibration)
     square_metres = options.square_side_metres
@@ -136,6 +140,23 @@ def _world(
         tuple(replace(box, world_from_box=world_from_map @ box.world_from_box) for box in boxes),
         room=_room(options, world_from_map),
     )
+
+
+def _obstacles(world: photograph.World, world_from_map: Pose2) -> list[Polygon]:
+    """Return where boxes and walkers stand at stamp 0, in the map, and how they move."""
+    found = []
+    for box in world.boxes:
+        map_from_box = world_from_map.inverse() @ box.world_from_box
+        length, width, height = box.size_metres
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (length / 2, width / 2)
+        velocity = Pose2(0.0, 0.0, -world_from_map.theta).apply(box.velocity)
+        properties = {
+            "height_metres": round(height, 6),
+            "velocity_x_metres_per_second": round(float(velocity[0]), 6),
+            "velocity_y_metres_per_second": round(float(velocity[1]), 6),
+        }
+        found.append(Polygon(map_from_box.apply(corners), properties))
+    return found
 
 
 def _floor(options: SimulationOptions, calibration: Calibration) -> floors.Floor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from pathlib import Path
 
@@ -145,6 +146,24 @@ def test_a_simulation_is_the_same_twice_and_complete(tmp_path: Path) -> None:
     calibration = load_calibration(tmp_path / "a" / "camera.yaml")
     assert calibration.height_metres == pytest.approx(0.3)
     assert len(read_rows(tmp_path / "a" / "gps.csv")) == 3
+
+
+def test_its_boxes_are_polygons_in_the_map(tmp_path: Path) -> None:
+    simulate(tmp_path / "a", "--boxes", "3", "--floor", "course")
+    collection = json.loads((tmp_path / "a" / "obstacles.geojson").read_text())
+    boxes = collection["features"]
+    assert len(boxes) == 3
+    for number, box in enumerate(boxes):
+        ring = np.array(box["geometry"]["coordinates"][0])
+        assert ring.shape == (5, 2)
+        np.testing.assert_array_equal(ring[0], ring[-1])
+        x, y = ring[:-1].T
+        area = 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
+        assert 0.04**2 <= area <= 0.12**2
+        # Boxes lie about 0.4 to 1.1 m from the three first frames, which are at the map's origin.
+        assert 0.3 < np.hypot(x.mean(), y.mean()) < 1.6
+        moves = any(v for k, v in box["properties"].items() if k.startswith("velocity"))
+        assert moves == (number == 2)
 
 
 def test_a_path_of_poses_and_a_floor_of_a_picture(tmp_path: Path) -> None:

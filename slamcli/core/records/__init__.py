@@ -12,13 +12,14 @@ from slamcli.core.records.frames import (
     View,
 )
 from slamcli.core.records.graph import FloorMap, Link, LinkKind, PoseEstimate, Status
-from slamcli.core.records.mosaic import PosedFrame, Tile
+from slamcli.core.records.mosaic import FloorEvidence, PosedFrame, Tile
 
 __all__ = [
     "NO_PERIODS",
     "DescriptorNorm",
     "FeatureAlignment",
     "Features",
+    "FloorEvidence",
     "FloorMap",
     "Frame",
     "Keyframe",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from slamcli.core.arrays import Float32Array, Int32Array, UInt8Array, UInt16Array
+from slamcli.core.arrays import BoolArray, Float32Array, Int32Array, UInt8Array, UInt16Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Grid, Pose2
 
@@ -28,6 +28,25 @@ class PosedFrame:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FloorEvidence:
+    """What views say about cells of the map being floor.
+
+    Attributes
+    ----------
+    baseline_metres : (h, w) float32
+        How far the cameras of the views that agree are apart; -1 where nothing was seen.
+    texture_gray : (h, w) float32
+        Standard deviation of what most views show about a cell; nan at the border of what was seen.
+    differs : (h, w) bool
+        Whether some view shows something else.
+    """
+
+    baseline_metres: Float32Array
+    texture_gray: Float32Array
+    differs: BoolArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Tile:
     """A painted piece of the map.
 
@@ -46,6 +65,8 @@ class Tile:
         How many frames saw the floor here, of those that were compared.
     latest : (h, w) int32
         Index of the last frame that did; -1 for none.
+    evidence : FloorEvidence or None
+        Of the tile's cells; None where it is not needed.
     """
 
     grid: Grid
@@ -54,3 +75,4 @@ class Tile:
     obstacles: UInt8Array | None
     views: UInt16Array
     latest: Int32Array
+    evidence: FloorEvidence | None = None

@@ -17,9 +17,10 @@ import numpy as np
 from slamcli.core.arrays import GenericArray, UInt8Array
 from slamcli.core.errors import InputError, OutputError
 from slamcli.core.geometry import Grid
-from slamcli.core.records import Tile
+from slamcli.core.records import FloorEvidence, Tile
 from slamcli.io.files import write_bytes
 
+_EVIDENCE = ("baseline_metres", "texture_gray", "differs")
 _NAME = re.compile(r"(-?\d+)_(-?\d+)\.npz")
 
 
@@ -36,12 +37,14 @@ class StoredTile:
     layers : dict of str to (h, w) array
         The chosen ones: ``resolution`` (float32, metres of floor that a picture's pixel covers; 0:
         unseen), ``views`` (uint16), ``last-frame`` (int32; -1: unseen).
+    evidence : FloorEvidence or None
     """
 
     image: UInt8Array
     mask: UInt8Array
     obstacles: UInt8Array | None
     layers: dict[str, GenericArray]
+    evidence: FloorEvidence | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +114,9 @@ class TileStore:
             }
             if tile.obstacles is not None:
                 arrays["obstacles"] = tile.obstacles
+            if tile.evidence is not None:
+                for name in _EVIDENCE:
+                    arrays[name] = getattr(tile.evidence, name)
             for layer in self.layers:
                 arrays[layer] = _layer(tile, layer)
             np.savez(stream, allow_pickle=False, **arrays)
@@ -216,7 +222,10 @@ class TileStore:
                 mask = np.unpackbits(arrays["mask"], axis=1) * np.uint8(255)
                 obstacles = arrays.get("obstacles")
                 layers = {layer: arrays[layer] for layer in self.layers}
-                tile = StoredTile(arrays["image"], mask, obstacles, layers)
+                evidence = None
+                if _EVIDENCE[0] in arrays:
+                    evidence = FloorEvidence(*(arrays[name] for name in _EVIDENCE))
+                tile = StoredTile(arrays["image"], mask, obstacles, layers, evidence)
         except (OSError, EOFError, ValueError, KeyError, BadZipFile, zlib.error) as error:
             raise InputError(f"cannot read the finished tile {path}: {error}") from error
         parts = [tile.image, tile.mask, *layers.values()]

@@ -43,21 +43,37 @@ def write_world_file(path: Path, grid: Grid, map_from_grid: Pose2 = _UPRIGHT) ->
 
 
 def write_nav2_map(
-    path: Path, picture_name: str, grid: Grid, unit: Unit, map_from_grid: Pose2 = _UPRIGHT
+    path: Path,
+    picture_name: str,
+    grid: Grid,
+    unit: Unit,
+    map_from_grid: Pose2 = _UPRIGHT,
+    *,
+    occupancy: bool = True,
 ) -> None:
-    """Write the map_server description (Nav2 / ROS map_server YAML) of a picture beside it."""
+    """Write the map_server description (Nav2 / ROS map_server YAML) of a picture beside it.
+
+    Parameters
+    ----------
+    occupancy : bool
+        Whether its gray levels say what is occupied. A picture of the floor does not: thresholds
+        that no level passes make map_server read all of it as unknown.
+    """
+    occupied, free = (0.65, 0.196) if occupancy else (1.0, 0.0)
+    note = "" if occupancy else "# A picture, no occupancy: all of it is unknown to map_server.\n"
     length = {"m": "metres", "px": "pixels", "h": "heights of the camera"}[unit]
     x, y = map_from_grid.apply([(grid.x_min, grid.y_min)])[0]
     write_text(
         path,
         f"# Lengths in {length}; origin: x, y of the lower left pixel's corner, and yaw (rad).\n"
+        f"{note}"
         f"image: {picture_name}\n"
         f"mode: trinary\n"
         f"resolution: {grid.metres_per_pixel:.10g}\n"
         f"origin: [{x:.10g}, {y:.10g}, {_plain(map_from_grid.theta)}]\n"
         "negate: 0\n"
-        "occupied_thresh: 0.65\n"
-        "free_thresh: 0.196\n",
+        f"occupied_thresh: {occupied}\n"
+        f"free_thresh: {free}\n",
     )
 
 

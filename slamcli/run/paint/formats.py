@@ -3,68 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from slamcli.core.arrays import GenericArray, UInt8Array, UInt16Array
-from slamcli.core.camera.calibration import Unit
-from slamcli.core.config import Layer, ProductOptions
+from slamcli.core.config import Layer
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.io.files import write_drawing
 from slamcli.io.raster import deepzoom, geotiff, png, world_file
 from slamcli.io.raster.tile_store import StoredTile, TileStore, put_part
-from slamcli.run.session.session import Session
-from slamcli.stages.mosaic import obstacles, tiles
+from slamcli.run.paint import nav2
+from slamcli.run.paint.map_to_write import MapToWrite
+from slamcli.stages.mosaic import tiles
 
 # Layers of a PNG are 16 bits deep; a resolution is given in micrometres.
 _MAX_GRAY = 65535
 _KINDS = {"resolution": ("float32", 0.0), "views": ("uint16", None), "last-frame": ("int32", -1.0)}
-_MAX_NAV_FACTOR = 64
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MapToWrite:
-    """A painted map, and where and how it is written.
-
-    Attributes
-    ----------
-    folder : Path
-    suffix : str
-        After each file's stem: empty for the first map, ``_1`` for the next.
-    store : TileStore
-    grid : Grid
-        The part of it that is written.
-    unit : str
-    map_from_painted : Pose2
-    options : ProductOptions
-    session : Session
-        Of this machine, which has the tiles.
-    """
-
-    folder: Path
-    suffix: str
-    store: TileStore
-    grid: Grid
-    unit: Unit
-    map_from_painted: Pose2
-    options: ProductOptions
-    session: Session
-
-    def path(self, stem: str, ending: str) -> Path:
-        """Return where one output of this map is written."""
-        return self.folder / f"{stem}{self.suffix}{ending}"
 
 
 def _write_png(output: MapToWrite) -> None:
     path = output.path("mosaic", ".png")
     _write_strips(output, path, _floor_strip)
     world_file.write_nav2_map(
-        output.path("mosaic", ".yaml"), path.name, output.grid, output.unit, output.map_from_painted
+        output.path("mosaic", ".yaml"),
+        path.name,
+        output.grid,
+        output.unit,
+        output.map_from_painted,
+        occupancy=False,
     )
     if output.store.has_obstacles():
         _write_strips(output, output.path("obstacles", ".png"), _obstacle_strip)
@@ -134,7 +103,7 @@ def _write_geotiff(output: MapToWrite) -> None:
 def _write_deep_zoom(output: MapToWrite) -> None:
     grid = output.grid
     side = tiles.TILE_PIXELS
-    aligned = whole_tiles(grid)
+    aligned = tiles.whole_tiles(grid)
     margin = (
         round((aligned.y_max - grid.y_max) / grid.metres_per_pixel),
         round((grid.x_min - aligned.x_min) / grid.metres_per_pixel),
@@ -168,45 +137,6 @@ def _write_deep_zoom(output: MapToWrite) -> None:
     )
 
 
-def _write_nav2(output: MapToWrite) -> None:
-    """Write free, occupied and unknown at a planner's resolution."""
-    scale = output.grid.metres_per_pixel
-    factor = 1
-    max_scale = output.options.nav_metres_per_pixel * (1 + 1e-9)
-    while scale * factor * 2 <= max_scale and factor < _MAX_NAV_FACTOR:
-        factor *= 2
-    grid = whole_tiles(output.grid)
-    gray = _occupancy(output, grid, factor)
-    seen = cv2.findNonZero((gray != world_file.UNKNOWN_GRAY).astype(np.uint8))
-    left, top, width, height = cv2.boundingRect(seen)
-    small = Grid(grid.x_min, grid.y_max, scale * factor, gray.shape[1], gray.shape[0])
-    path = output.path("nav2", ".pgm")
-    world_file.write_pgm(path, gray[top : top + height, left : left + width])
-    world_file.write_nav2_map(
-        output.path("nav2", ".yaml"),
-        path.name,
-        small.window(left, top, width, height),
-        output.unit,
-        output.map_from_painted,
-    )
-
-
-def _occupancy(output: MapToWrite, grid: Grid, factor: int) -> UInt8Array:
-    """Return (h, w) gray levels of Nav2, each for factor x factor pixels of whole tiles."""
-    image, mask = output.store.overview(grid, factor)
-    gray = np.where(mask > 0, np.uint8(world_file.FREE_GRAY), np.uint8(world_file.UNKNOWN_GRAY))
-    if output.options.nav_lines:
-        lines = obstacles.line_cells(image, mask, grid.metres_per_pixel * factor)
-        gray[lines] = world_file.OCCUPIED_GRAY
-        return gray
-    for row, column, tile in output.store.tiles(grid):
-        if tile.obstacles is not None:
-            occupied = obstacles.obstacle_cells(tile.obstacles, factor)
-            part = gray[row // factor :, column // factor :]
-            part[: occupied.shape[0], : occupied.shape[1]][occupied] = world_file.OCCUPIED_GRAY
-    return gray
-
-
 def _blocks(
     output: MapToWrite, pixels: Callable[[StoredTile], GenericArray | None]
 ) -> Iterator[tuple[int, int, GenericArray]]:
@@ -227,21 +157,9 @@ def _deep_gray(layer: Layer, values: GenericArray) -> UInt16Array:
     return whole.astype(np.uint16)
 
 
-def whole_tiles(grid: Grid) -> Grid:
-    """Return the grid of whole tiles around another."""
-    side = tiles.TILE_PIXELS
-    left, top = (
-        round(grid.x_min / grid.metres_per_pixel),
-        round(-grid.y_max / grid.metres_per_pixel),
-    )
-    before, above = left % side, top % side
-    width, height = -(-(grid.width + before) // side), -(-(grid.height + above) // side)
-    return grid.window(-before, -above, width * side, height * side)
-
-
 FORMATS: dict[str, Callable[[MapToWrite], None]] = {
     "png": _write_png,
     "geotiff": _write_geotiff,
     "deepzoom": _write_deep_zoom,
-    "nav2": _write_nav2,
+    "nav2": nav2.write_nav2,
 }

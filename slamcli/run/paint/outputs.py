@@ -14,15 +14,17 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.footprint import check_metres_per_pixel
 from slamcli.core.config import ProductOptions
 from slamcli.core.errors import InputError
-from slamcli.core.geometry import Grid
+from slamcli.core.geometry import Grid, pose_array
 from slamcli.drawing.trajectory import draw_trajectory
 from slamcli.io.files import write_drawing
 from slamcli.io.raster import geotiff
 from slamcli.io.raster.tile_store import TileStore
-from slamcli.run.paint.formats import FORMATS, MapToWrite, whole_tiles
+from slamcli.run.paint.formats import FORMATS
+from slamcli.run.paint.map_to_write import MapToWrite
 from slamcli.run.paint.paint import make_painter, paint_scene
 from slamcli.run.paint.scene import Scene
 from slamcli.run.session.session import Session
+from slamcli.stages.mosaic import tiles
 from slamcli.stages.mosaic.painter import Painter
 
 PRODUCTS = (
@@ -36,6 +38,7 @@ PRODUCTS = (
     "obstacles*.png",
     "obstacles*.pgw",
     "obstacles*.tif",
+    "obstacles*.geojson",
     "trajectory*.png",
     "nav2*.pgm",
     "nav2*.yaml",
@@ -124,11 +127,20 @@ def write_maps(
         overview = None
         if grid is not None:
             suffix = f"_{number}" if number else ""
-            unit, map_from_painted = scene.calibration.unit, scene.map_from_painted
             given = replace(options, datum=options.datum or scene.datum)
-            overview = _write_map(
-                MapToWrite(staging, suffix, store, grid, unit, map_from_painted, given, here), scene
+            poses = [e.map_from_robot for e in scene.estimates if e.map_from_robot is not None]
+            output = MapToWrite(
+                staging,
+                suffix,
+                store,
+                grid,
+                scene.map_from_painted,
+                given,
+                here,
+                scene.calibration,
+                pose_array(poses)[:, :2],
             )
+            overview = _write_map(output, scene)
             area += store.seen_pixels() * painter.metres_per_pixel**2
         overviews.append(overview)
     return PaintedMaps(area, tuple(sorted(unread)), tuple(overviews))
@@ -157,7 +169,7 @@ def _write_map(output: MapToWrite, scene: Scene) -> Overview:
     while side > 2 * _OVERVIEW_PIXELS * factor and factor < _MAX_OVERVIEW_FACTOR:
         factor *= 2
     if factor > 1:
-        grid = whole_tiles(grid)
+        grid = tiles.whole_tiles(grid)
     image, mask = output.store.overview(grid, factor)
     height, width = mask.shape
     small = Grid(grid.x_min, grid.y_max, grid.metres_per_pixel * factor, width, height)

@@ -33,7 +33,8 @@ def make_painter(calibration: Calibration, options: ProductOptions) -> Painter:
     """Return the painter of a camera's frames, as they are lit, at the scale of the map."""
     default = default_metres_per_pixel
     scale = options.paint.metres_per_pixel or default(calibration)
-    return Painter(calibration, scale, options.paint)
+    evidence = "nav2" in options.formats and not options.nav_lines
+    return Painter(calibration, scale, options.paint, evidence=evidence)
 
 
 def paint_scene(
@@ -56,7 +57,13 @@ def paint_scene(
     dark = set[int]()
     if options.paint.gain:
         light, dark = _exposure(scene, session)
-        painter = Painter(scene.calibration, painter.metres_per_pixel, options.paint, light)
+        painter = Painter(
+            scene.calibration,
+            painter.metres_per_pixel,
+            options.paint,
+            light,
+            evidence=painter.evidence,
+        )
     plan = [
         item
         for item in painter.plan(scene.shots)

@@ -15,17 +15,6 @@ _MAX_LINE_METRES = 0.08
 _MIN_LINE_CONTRAST_GRAY = 40.0
 
 
-def obstacle_cells(obstacles: UInt8Array, factor: int) -> BoolArray:
-    """Return (h / factor, w / factor): whether there is a permanent obstacle in each cell.
-
-    Parameters
-    ----------
-    obstacles : (h, w, 4) uint8 BGRA
-        Of a tile.
-    """
-    return _any(obstacles[..., 3] >= PERMANENT_ALPHA, factor)
-
-
 def line_cells(image: UInt8Array, mask: UInt8Array, metres_per_pixel: float) -> BoolArray:
     """Return (h, w): where an image shows a painted line, brighter than the floor beside it.
 
@@ -43,9 +32,3 @@ def line_cells(image: UInt8Array, mask: UInt8Array, metres_per_pixel: float) -> 
         return np.zeros(mask.shape, np.bool_)
     threshold, _ = cv2.threshold(seen[None], 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     return np.greater(above, max(float(threshold), _MIN_LINE_CONTRAST_GRAY))
-
-
-def _any(pixels: BoolArray, factor: int) -> BoolArray:
-    height, width = pixels.shape[0] // factor, pixels.shape[1] // factor
-    blocks = pixels[: height * factor, : width * factor].reshape(height, factor, width, factor)
-    return np.asarray(blocks.any(axis=(1, 3)), np.bool_)

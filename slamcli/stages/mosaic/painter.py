@@ -19,8 +19,8 @@ from slamcli.core.camera.projection import project_floor
 from slamcli.core.camera.resolution import floor_sampling, resolution_image
 from slamcli.core.config import PaintOptions
 from slamcli.core.geometry import Grid, Pose2
-from slamcli.core.records import Frame, PosedFrame, Tile
-from slamcli.stages.mosaic import blend, obstacles, source_image, tiles, view_consistency
+from slamcli.core.records import FloorEvidence, Frame, PosedFrame, Tile
+from slamcli.stages.mosaic import blend, obstacles, occupancy, source_image, tiles, view_consistency
 from slamcli.stages.mosaic.blend import CellWindow, Views
 from slamcli.stages.mosaic.exposure import Exposure
 from slamcli.stages.mosaic.sampling import Sample, sample_image
@@ -51,6 +51,8 @@ class Painter:
     options : PaintOptions
     exposure : Exposure or None
         From `exposure.estimate_exposure`; None paints images as they are.
+    evidence : bool
+        Whether tiles have what their occupancy is found by.
 
     Attributes
     ----------
@@ -64,6 +66,8 @@ class Painter:
         metres_per_pixel: float,
         options: PaintOptions | None = None,
         exposure: Exposure | None = None,
+        *,
+        evidence: bool = False,
     ) -> None:
         self.calibration = calibration
         self.metres_per_pixel = metres_per_pixel
@@ -76,6 +80,7 @@ class Painter:
         displaced = _DISPLACED_SHARE * calibration.max_range_metres / coarsest
         self._reach = min(_MAX_REACH_CELLS, max(1, round(displaced)))
         self._exposure = exposure
+        self.evidence = evidence
         self._brightening = source_image.brightening(
             calibration.image_size, exposure.vignetting if exposure else (0.0, 0.0)
         )
@@ -172,6 +177,18 @@ class Painter:
             _obstacles(views, shows_floor),
             np.where(resolution > 0, count, np.uint16(0)),
             np.where(resolution > 0, latest, np.int32(-1)),
+            self._evidence(views, [posed_frames[number] for number in chosen]),
+        )
+
+    def _evidence(self, views: Views, posed: Sequence[PosedFrame]) -> FloorEvidence | None:
+        if not self.evidence:
+            return None
+        positions = np.array([(one.map_from_robot.x, one.map_from_robot.y) for one in posed])
+        found = occupancy.floor_evidence(views.cells, views.weights, positions)
+        margin = tiles.MARGIN_CELLS
+        inner = (slice(margin, -margin), slice(margin, -margin))
+        return FloorEvidence(
+            found.baseline_metres[inner], found.texture_gray[inner], found.differs[inner]
         )
 
     def patch(

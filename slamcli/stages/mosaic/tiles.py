@@ -81,6 +81,18 @@ def tiles_under(outline: Float64Array, metres_per_pixel: float) -> list[TileKey]
     ]
 
 
+def whole_tiles(grid: Grid) -> Grid:
+    """Return the grid of whole tiles around another."""
+    side = TILE_PIXELS
+    left, top = (
+        round(grid.x_min / grid.metres_per_pixel),
+        round(-grid.y_max / grid.metres_per_pixel),
+    )
+    before, above = left % side, top % side
+    width, height = -(-(grid.width + before) // side), -(-(grid.height + above) // side)
+    return grid.window(-before, -above, width * side, height * side)
+
+
 def extent_of(keys: Iterable[TileKey], metres_per_pixel: float) -> Grid | None:
     """Return the smallest grid of whole tiles that contains all of `keys`; None for none."""
     found = list(keys)

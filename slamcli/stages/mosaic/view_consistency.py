@@ -114,11 +114,11 @@ def _floor_views_of(cells: UInt8Array, weights: Float32Array, reach_cells: int) 
     seen = weights > 0
     count = seen.sum(axis=0)
     shown, _ = reference(cells, weights)
-    beyond = _beyond(cells, shown, count == 0, reach_cells)
-    leaves = seen & (beyond > 0)
+    outside = beyond(cells, shown, count == 0, reach_cells)
+    leaves = seen & (outside > 0)
     if not leaves.any():
         return seen
-    other = seen & (_beyond(cells, shown, count == 0, 0) > 0)
+    other = seen & (beyond(cells, shown, count == 0, 0) > 0)
     differs = np.zeros_like(seen)
     for number in np.flatnonzero(leaves.any(axis=(1, 2))):
         differs[number] = _grown(leaves[number], other[number], seen[number], reach_cells)
@@ -142,13 +142,13 @@ def _floor_views_of(cells: UInt8Array, weights: Float32Array, reach_cells: int) 
     agrees: BoolArray = seen & ~differs
     orphaned = (count > 0) & ~agrees.any(axis=0)
     if orphaned.any():
-        nearest = np.argmin(np.where(seen, beyond, np.int16(1000)), axis=0)
+        nearest = np.argmin(np.where(seen, outside, np.int16(1000)), axis=0)
         rows, columns = np.nonzero(orphaned)
         agrees[nearest[rows, columns], rows, columns] = True
     return agrees
 
 
-def _beyond(
+def beyond(
     cells: UInt8Array,
     shown: UInt8Array,
     blank: BoolArray,
@@ -243,8 +243,8 @@ def _step_at_outline(
     compared = part & sees & near
     if np.count_nonzero(compared) < _MIN_OUTLINE_CELLS:
         return float("nan")
-    beyond = _beyond(view, view, ~beside, _OUTLINE_CELLS)[compared]
-    return float(np.clip(beyond, 0, _MAX_DIFFERENCE_GRAY).mean())
+    outside = beyond(view, view, ~beside, _OUTLINE_CELLS)[compared]
+    return float(np.clip(outside, 0, _MAX_DIFFERENCE_GRAY).mean())
 
 
 def _grown(
