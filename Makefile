@@ -59,8 +59,9 @@ figures: $(VENV)/installed
 # The stitching package brings another build of OpenCV: it gets a place of its own.
 bench:
 	$(PYTHON) -m venv $(VENV)-bench
-	$(VENV)-bench/bin/python -m pip install --quiet --disable-pip-version-check . stitching
+	$(VENV)-bench/bin/python -m pip install --quiet --disable-pip-version-check . stitching pyorthomosaic
 	$(VENV)-bench/bin/python benchmarks/peers.py
+	$(VENV)-bench/bin/python benchmarks/surveys.py
 
 samples: $(VENV)/installed
 	$(BIN)/python samples/make.py

@@ -119,14 +119,15 @@ def _mutual(first: Float32Array, second: Float32Array, ratio: float) -> tuple[In
     if min(len(first), len(second)) < 2:
         return np.empty(0, np.intp), np.empty(0, np.intp)
     similar = first @ second.T
-    forward, backward = similar.argmax(axis=1), similar.argmax(axis=0)
-    rows = np.flatnonzero(backward[forward] == np.arange(len(first)))
-    chosen = similar[rows]
-    best = chosen[np.arange(len(rows)), forward[rows]]
-    chosen[np.arange(len(rows)), forward[rows]] = -1.0
+    forward = similar.argmax(axis=1)
+    every = np.arange(len(first))
+    best = similar[every, forward]
+    mutual = best == similar.max(axis=0)[forward]
+    similar[every, forward] = -1.0
     # Squared distances of unit vectors are 2 - 2 cos.
-    clear = 1.0 - best < ratio**2 * (1.0 - chosen.max(axis=1, initial=-1.0))
-    return rows[clear], forward[rows[clear]]
+    clear = 1.0 - best < ratio**2 * (1.0 - similar.max(axis=1))
+    rows = np.flatnonzero(mutual & clear)
+    return rows, forward[rows]
 
 
 def _motion(

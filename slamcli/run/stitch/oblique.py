@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,12 +21,14 @@ from slamcli.survey.oblique import FloorMotion, estimate_camera, floor_motion
 from slamcli.survey.oblique_by_pixels import MAX_PICTURES, camera_by_pixels
 from slamcli.survey.oblique_camera import ObliqueCamera
 
-# Every frame's floor is compared with that of the next ones; at most so many pairs are needed.
-_NEIGHBOURS, _MAX_MOTIONS = 2, 24
+# Frames' floors are compared with those of the next ones, so many pairs; at most so many motions of
+# the floor are needed.
+_NEIGHBOURS, _MAX_COMPARED, _MAX_MOTIONS = 2, 40, 24
 # The camera is sought by the pixels of at most so many runs of consecutive pictures.
 _RUNS = 3
 # A fixed camera leaves at most this many times the error of a free homography for each pair.
 _EXPLAINED_FACTOR, _EXPLAINED_PIXELS = 1.5, 0.3
+Item = TypeVar("Item")
 
 
 def find_camera(
@@ -51,11 +54,9 @@ def find_camera(
     known = [(a, b) for a, b in pairs if a is not None and b is not None and a.size == b.size]
     if not known:
         return None
-    found = session.stage("finding the floor", _motion, known)
+    found = session.stage("finding the floor", _motion, _spread(known, _MAX_COMPARED))
     motions = [one for one in found if one is not None and (one.apart or not apart)]
-    if len(motions) > _MAX_MOTIONS:
-        chosen = np.linspace(0, len(motions) - 1, _MAX_MOTIONS).round().astype(int).tolist()
-        motions = [motions[number] for number in chosen]
+    motions = _spread(motions, _MAX_MOTIONS)
     camera = estimate_camera(motions, known[0][0].size)
     if apart or not motions:
         return camera if motions else None
@@ -96,6 +97,12 @@ def _pictures(files: Sequence[FrameFile]) -> list[UInt8Array]:
         except FrameError:
             continue
     return found
+
+
+def _spread(items: Sequence[Item], most: int) -> list[Item]:
+    """Return at most so many of the items, evenly spread."""
+    chosen = np.unique(np.linspace(0, len(items) - 1, min(len(items), most)).round().astype(int))
+    return [items[number] for number in chosen.tolist()]
 
 
 def _motion(pair: tuple[SurveyFeatures, SurveyFeatures]) -> FloorMotion | None:
