@@ -25,6 +25,7 @@ from slamcli.survey.features import SurveyFeatures
 from slamcli.survey.oblique_camera import (
     BEND_PRIOR_SIGMA,
     FOCAL_PRIOR_SIGMA,
+    NOTED_FOCAL_SIGMA,
     ROLL_PRIOR_SIGMA,
     ObliqueCamera,
     undistorted,
@@ -113,7 +114,17 @@ def _dominant(
     return homography, inliers
 
 
-def estimate_camera(motions: Sequence[FloorMotion], size: tuple[int, int]) -> ObliqueCamera:
+@dataclass(frozen=True, slots=True)
+class _FocalPrior:
+    """The prior of the logarithm of the focal length in widths of the picture."""
+
+    log_widths: float
+    sigma: float
+
+
+def estimate_camera(
+    motions: Sequence[FloorMotion], size: tuple[int, int], focal_pixels: float | None = None
+) -> ObliqueCamera:
     """Return the camera under which all motions are rigid on the floor.
 
     Parameters
@@ -121,18 +132,25 @@ def estimate_camera(motions: Sequence[FloorMotion], size: tuple[int, int]) -> Ob
     motions : sequence of FloorMotion
     size : (int, int)
         Of the pictures.
+    focal_pixels : float or None
+        As photos note it, about right.
     """
     if len(motions) < _MIN_MOTIONS:
         return _none("too few pairs of frames show the same floor")
     width = max(size)
+    prior = _FocalPrior(0.0, FOCAL_PRIOR_SIGMA)
+    focals: tuple[float, ...] = _FOCALS
+    if focal_pixels is not None:
+        prior = _FocalPrior(math.log(focal_pixels / width), NOTED_FOCAL_SIGMA)
+        focals = (focal_pixels / width,)
     starts = [
         np.array([math.log(focal), math.radians(pitch), 0.0, 0.0])
-        for focal, pitch in product(_FOCALS, _PITCHES)
+        for focal, pitch in product(focals, _PITCHES)
     ]
     few = [_some(one, _ROUGH_MATCHES) for one in motions]
-    rough = [_solved(few, width, start, _ROUGH_STEPS) for start in starts]
+    rough = [_solved(few, width, start, prior, _ROUGH_STEPS) for start in starts]
     best = min(rough, key=lambda one: float(one.cost))
-    best = _solved([_some(one, _MAX_MATCHES) for one in motions], width, best.x)
+    best = _solved([_some(one, _MAX_MATCHES) for one in motions], width, best.x, prior)
     lengths = np.concatenate(
         [np.linalg.norm(_residuals(one, best.x, width), axis=1) for one in motions]
     )
@@ -149,14 +167,18 @@ def estimate_camera(motions: Sequence[FloorMotion], size: tuple[int, int]) -> Ob
 
 
 def _solved(
-    motions: Sequence[FloorMotion], width: int, start: Float64Array, steps: int | None = None
+    motions: Sequence[FloorMotion],
+    width: int,
+    start: Float64Array,
+    focal: _FocalPrior,
+    steps: int | None = None,
 ) -> OptimizeResult:
     """Return the least squares of log focal length (widths), pitch, roll and k1, from a start."""
 
     def misfit(values: Float64Array) -> Float64Array:
         residual = [_residuals(one, values, width).ravel() / _LOSS_PIXELS for one in motions]
         prior = [
-            values[0] / FOCAL_PRIOR_SIGMA,
+            (values[0] - focal.log_widths) / focal.sigma,
             values[2] / ROLL_PRIOR_SIGMA,
             values[3] / BEND_PRIOR_SIGMA,
         ]

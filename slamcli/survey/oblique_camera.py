@@ -15,6 +15,9 @@ from slamcli.core.camera.mounting import compose_robot_from_image, image_from_ro
 
 # Sigmas of the priors of log focal length in widths of the picture, of roll, and of k1.
 FOCAL_PRIOR_SIGMA, ROLL_PRIOR_SIGMA, BEND_PRIOR_SIGMA = 0.7, math.radians(10.0), 0.1
+# Sigma of the logarithm of a focal length that photos note: of whole millimetres of a film, and of
+# the crop of a video's frames.
+NOTED_FOCAL_SIGMA = 0.05
 # Of an observable camera: sigmas of log focal length and of the pitch.
 # [Guarded by benchmarks/real_sets.py.]
 _MAX_FOCAL_SIGMA, _MAX_PITCH_SIGMA, _MAX_PITCH = 0.1, math.radians(2.0), math.radians(70.0)

@@ -50,6 +50,14 @@ def test_a_straight_line_is_refused() -> None:
     assert "do not determine the focal length" in camera.reason
 
 
+def test_a_noted_focal_length_makes_a_straight_line_determine_the_pitch() -> None:
+    straight = motions([Pose2(0.3, 0.0, 0.0)] * 6)
+    camera = estimate_camera(straight, SIZE, focal_pixels=0.99 * FOCAL)
+    assert not camera.reason
+    assert camera.focal_pixels == pytest.approx(FOCAL, rel=0.03)
+    assert math.degrees(camera.pitch_radians) == pytest.approx(38.0, abs=1.0)
+
+
 def test_too_few_motions_are_refused() -> None:
     assert estimate_camera(motions([Pose2(0.3, 0.0, 0.1)]), SIZE).reason
 

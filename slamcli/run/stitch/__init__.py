@@ -155,7 +155,7 @@ def _locate_uncalibrated(
     features = [one.features for one in described]
     camera = None
     if drive.options.mount == "auto" and not session.interruption.happened:
-        camera = oblique.find_camera(features, session, apart=found.apart)
+        camera = oblique.find_camera(features, drive.inputs.files, session, apart=found.apart)
     if camera is None:
         return _survey_frames(drive, described, vanished, session)
     size = next(one.size for one in features if one is not None)

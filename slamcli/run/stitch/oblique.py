@@ -16,6 +16,7 @@ from slamcli.io.frames import FrameFile, of_camera, read_frame
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.session.session import Session
 from slamcli.run.stitch.drive import Drive
+from slamcli.run.stitch.focal_length import noted_focal_pixels
 from slamcli.survey import SurveyFeatures
 from slamcli.survey.oblique import FloorMotion, estimate_camera, floor_motion
 from slamcli.survey.oblique_by_pixels import MAX_PICTURES, camera_by_pixels
@@ -32,7 +33,11 @@ Item = TypeVar("Item")
 
 
 def find_camera(
-    features: Sequence[SurveyFeatures | None], session: Session, *, apart: bool
+    features: Sequence[SurveyFeatures | None],
+    files: Sequence[FrameFile],
+    session: Session,
+    *,
+    apart: bool,
 ) -> ObliqueCamera | None:
     """Return the fixed camera that explains the floor's motions, determined or not.
 
@@ -42,6 +47,8 @@ def find_camera(
     ----------
     features : sequence of SurveyFeatures or None
         Of the frames, in order; None for one that cannot be used.
+    files : sequence of FrameFile
+        What they note of the focal length is used.
     apart : bool
         Whether the frames also show what stands behind the floor: then only motions of lower rows
         than another are the floor's.
@@ -57,7 +64,8 @@ def find_camera(
     found = session.stage("finding the floor", _motion, _spread(known, _MAX_COMPARED))
     motions = [one for one in found if one is not None and (one.apart or not apart)]
     motions = _spread(motions, _MAX_MOTIONS)
-    camera = estimate_camera(motions, known[0][0].size)
+    size = known[0][0].size
+    camera = estimate_camera(motions, size, noted_focal_pixels(files, size))
     if apart or not motions:
         return camera if motions else None
     free = float(np.median([one.residual_pixels for one in motions]))

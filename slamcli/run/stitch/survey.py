@@ -20,6 +20,7 @@ from slamcli.io.images.canvas import canvas_scale, common_canvas
 from slamcli.io.toml import Scalar
 from slamcli.run.session.session import Session
 from slamcli.run.stitch.drive import Drive, SurveyFacts
+from slamcli.run.stitch.focal_length import noted_focal_pixels
 from slamcli.run.stitch.lost_in_survey import lost_reason
 from slamcli.selfcal import RegisteredDrive
 from slamcli.survey import Survey, SurveyFeatures, SurveyMap, survey, survey_features
@@ -149,7 +150,7 @@ def locate_survey(
     radius = 0.5 * math.hypot(*canvas)
     found = survey(
         features,
-        Lens(_FOCAL_WIDTHS * max(canvas), 0.0, radius),
+        Lens(noted_focal_pixels(files, canvas) or _FOCAL_WIDTHS * max(canvas), 0.0, radius),
         partial(session.stage, "comparing frames"),
     )
     calibration = _camera(canvas, found)
