@@ -16,10 +16,9 @@ from slamcli.run.session.executor import default_workers
 from slamcli.run.session.interruption import Interruption
 from slamcli.run.session.session import Session
 
-# A log gets a line at every fifth of a stage, but not within a second of the one before, and at
-# least one every so many seconds.
+# A log gets a line at every fifth of a stage, and at least one every so many seconds.
 _LINES_PER_STAGE = 5
-_MIN_SECONDS, _MAX_SECONDS = 1.0, 30.0
+_MAX_SECONDS = 30.0
 
 
 class ProgressBar:
@@ -29,14 +28,14 @@ class ProgressBar:
         self._messages = messages()
         self._terminal = sys.stderr.isatty() and not self._messages.quiet
         self._started = self._begun = self._latest = self._shown = time.monotonic()
-        self._stage, self._next = "", 1.0
+        self._stage = ""
         self._bar: tqdm[Any] | None = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show that `done` of `total` steps of `stage` are finished."""
         if stage != self._stage:
             self._close()
-            self._stage, self._begun, self._next = stage, self._latest, 1.0
+            self._stage, self._begun = stage, self._latest
         self._log(done, total)
         if self._terminal:
             if self._bar is None:
@@ -46,19 +45,17 @@ class ProgressBar:
     def _log(self, done: int, total: int) -> None:
         """Write a line of the stage, when one is due: time, done of total, rate, time left."""
         now = self._latest = time.monotonic()
-        since = now - self._shown
-        share = _LINES_PER_STAGE * done / max(total, 1)
-        due = share >= self._next and since >= _MIN_SECONDS
-        if not (done == total or due or since >= _MAX_SECONDS):
+        due = done == total or done % max(1, total // _LINES_PER_STAGE) == 0
+        if not (due or now - self._shown >= _MAX_SECONDS):
             return
-        self._next, self._shown = int(share) + 1.0, now
+        self._shown = now
         rate = done / max(now - self._begun, 1e-6)
         left = f", {_clock((total - done) / rate)} left" if done < total else ""
-        line = f"{_clock(now - self._started)}  {self._stage} {done}/{total}, {rate:.3g}/s{left}"
+        line = f"{self._stage} {done}/{total}, {rate:.3g}/s, {_clock(now - self._started)} so far"
         if self._terminal:
-            self._messages.record(line)
+            self._messages.record(line + left)
         else:
-            self._messages.show(line)
+            self._messages.show(line + left)
 
     def notify(self, line: str) -> None:
         """Print a line that is not a result."""

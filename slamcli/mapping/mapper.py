@@ -117,6 +117,12 @@ class Mapper:
         return self._backend.sensors
 
     @property
+    def sensor_faults(self) -> list[str]:
+        """What is wrong with the readings, a line each; odometry that contradicts is not used."""
+        with self._lock:
+            return self.sensors.faults
+
+    @property
     def georeferences(self) -> dict[int, Georeference]:
         """Where on Earth each fragment that GPS determines lies, as of the latest solution."""
         return dict(self._graph.georeferences)
@@ -227,6 +233,7 @@ class Mapper:
             closures, with the same result.
         """
         with self._lock:
+            self.sensors.check()
             self._backend.solve()
             while self.options.loops:
                 loops = self._loop_closer.find_loops(self._graph, spread)

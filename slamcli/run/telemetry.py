@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import pose_array
 from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
@@ -12,7 +14,7 @@ from slamcli.io.telemetry import read_compass, read_gps, read_odometry
 from slamcli.mapping.backend.pose_graph import placed_fragments
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.inputs import Inputs
-from slamcli.stages.telemetry import estimate_time_offset
+from slamcli.stages.telemetry import clocks_apart, estimate_time_offset
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,13 +55,16 @@ class Telemetry:
     find_time_offset: bool
 
 
-def read_telemetry(files: TelemetryFiles, inputs: Inputs) -> Telemetry:
+def read_telemetry(
+    files: TelemetryFiles, inputs: Inputs, time_offset_seconds: float = 0.0
+) -> Telemetry:
     """Return the readings of all files that were named.
 
     Raises
     ------
     InputError
-        Also when the frames have no stamps to tie readings to, or are not in metres.
+        Also when the frames have no stamps to tie readings to, are not in metres, or are of another
+        time than the readings with the offset of their clock.
     """
     named = next((p for p in (files.odometry, files.compass, files.gps) if p is not None), None)
     if named is not None and all(frame.stamp is None for frame in inputs.files):
@@ -69,12 +74,27 @@ def read_telemetry(files: TelemetryFiles, inputs: Inputs) -> Telemetry:
         raise InputError(f"{metric} is in metres and the frames are in pixels; give --calibration")
     if files.find_time_offset and files.odometry is None:
         raise InputError("--time-offset auto needs --odometry")
-    return Telemetry(
+    read = Telemetry(
         [] if files.odometry is None else read_odometry(files.odometry),
         [] if files.compass is None else read_compass(files.compass),
         [] if files.gps is None else read_gps(files.gps),
         files.find_time_offset,
     )
+    stamps = [frame.stamp for frame in inputs.files if frame.stamp is not None]
+    pairs = (
+        (files.odometry, read.odometry),
+        (files.compass, read.compass),
+        (files.gps, read.gps),
+    )
+    for path, readings in pairs:
+        if readings and not files.find_time_offset:
+            moments = [reading.stamp + time_offset_seconds for reading in readings]
+            first, last = min(moments), max(moments)
+            if last < min(stamps) or first > max(stamps):
+                ends = (min(stamps), max(stamps))
+                fault = clocks_apart((first, last), ends, time_offset_seconds)
+                raise InputError(f"{path} {fault}")
+    return read
 
 
 def feed(mapper: Mapper, telemetry: Telemetry) -> None:
@@ -99,15 +119,20 @@ def feed_shifted(mapper: Mapper, telemetry: Telemetry) -> str:
     seen = [e for e in members if e.map_from_robot is not None and e.stamp is not None]
     poses = [e.map_from_robot for e in seen if e.map_from_robot is not None]
     odometry = telemetry.odometry
+    stamps = np.array([reading.stamp for reading in odometry])
+    moments = np.array([e.stamp for e in seen if e.stamp is not None])
+    # Clocks of other epochs: both are taken to have begun together, within what is searched.
+    apart = bool(len(moments)) and (stamps[-1] < moments[0] or stamps[0] > moments[-1])
+    rough = float(moments[0] - stamps[0]) if apart else 0.0
     found = estimate_time_offset(
-        ([r.stamp for r in odometry], pose_array([r.pose for r in odometry])),
-        ([e.stamp for e in seen if e.stamp is not None], pose_array(poses)),
+        (stamps + rough, pose_array([r.pose for r in odometry])), (moments, pose_array(poses))
     )
     if found is None:
         raise InputError(
             "the motion is too even, or too short, to estimate the offset of the clocks; "
             "give --time-offset in seconds"
         )
-    mapper.sensors.shift(found.seconds)
+    seconds = rough + found.seconds
+    mapper.sensors.shift(seconds)
     feed(mapper, telemetry)
-    return f"{found.seconds:+.3f} s, sigma {found.sigma_seconds:.3f} s"
+    return f"{seconds:+.3f} s, sigma {found.sigma_seconds:.3f} s"

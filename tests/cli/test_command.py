@@ -207,9 +207,9 @@ def test_progress_in_a_log_has_times_a_rate_and_the_time_left(
             clock[0] += 0.5
             bar("locating", done, 400)
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "0:30  locating 60/400, 2/s, 2:50 left"
-    assert "0:40  locating 80/400, 2/s, 2:40 left" in lines
-    assert lines[-1] == "3:20  locating 400/400, 2/s"
+    assert lines[0] == "locating 60/400, 2/s, 0:30 so far, 2:50 left"
+    assert "locating 80/400, 2/s, 0:40 so far, 2:40 left" in lines
+    assert lines[-1] == "locating 400/400, 2/s, 3:20 so far"
     assert 6 <= len(lines) <= 14
 
 

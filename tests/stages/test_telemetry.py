@@ -117,7 +117,9 @@ def test_an_offset_that_the_motion_leaves_open_is_not_given() -> None:
 def test_a_peak_must_be_narrow_and_correlated(bend: float, correlation: float, given: bool) -> None:
     # A parabola of this second derivative has a sigma of 0.032 or 0.05 s; two steps are 0.04 s.
     grid = np.arange(-20, 21) * 0.02
-    found = telemetry._peak(lambda offset: (-0.5 * bend * (offset - 0.1) ** 2, correlation), grid)
+    found = telemetry.clock._peak(
+        lambda offset: (-0.5 * bend * (offset - 0.1) ** 2, correlation), grid
+    )
     assert (found is not None) == given
 
 

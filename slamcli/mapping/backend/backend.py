@@ -23,6 +23,8 @@ _SAME_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
 # [benchmarks/kidnap.py: hand].
 MIN_EXTENT_SHARE = 0.03
 _MIN_TURN_RADIANS = 0.1
+# Links that two pictures determine in all directions.
+_BY_PICTURE = ("step", "loop")
 
 
 class Backend:
@@ -56,6 +58,7 @@ class Backend:
     def restore(self, graph: GraphState, next_fragment: int, smoother: SmootherState) -> None:
         """Take over the state of another back end, but for its sensors."""
         self.graph.restore(graph)
+        self._compare_odometry(self.graph.links)
         self._next_fragment = next_fragment
         self._smoother.restore(smoother)
 
@@ -83,7 +86,14 @@ class Backend:
         predicted = self.graph.predict_pose(prepared, links)
         self.graph.set_estimate(replace(predicted, odom_from_robot=odom))
         self.add_links(prepared.index, links)
+        self._compare_odometry(links)
         return self.graph[prepared.index]
+
+    def _compare_odometry(self, links: Sequence[Link]) -> None:
+        """Compare odometry with what pictures showed, but for those that only repeat another."""
+        for link in links:
+            if link.kind in _BY_PICTURE and link.a_from_b != Pose2():
+                self.sensors.compare(self.graph[link.a], self.graph[link.b], link.a_from_b)
 
     def add_links(self, index: int, links: Sequence[Link]) -> None:
         """Add links of a frame that is placed; links to another fragment join both."""
@@ -175,6 +185,7 @@ class Backend:
                 self._lose(component, "what it shows stays where it is: it moves with the camera")
         connected = [*connected[:1], *filter(self._moves, connected[1:])]
         connected.sort(key=lambda component: (-len(component), min(component)))
+        self.sensors.gps_fault = ""
         graph.clear_solution()
         for fragment, initial in enumerate(connected):
             graph.apply(optimizer.solve(initial, fragment))

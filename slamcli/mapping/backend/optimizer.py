@@ -185,6 +185,10 @@ class BatchOptimizer:
         if datum is None or not readings or heading_sigma > _MAX_HEADING_SIGMA_RADIANS:
             return None
         if outliers > _MAX_OUTLIER_SHARE * readings:
+            self._sensors.gps_fault = (
+                f"contradicts the frames in {outliers} of {readings} readings: are latitude and "
+                "longitude exchanged, or do the clocks differ (--time-offset)?"
+            )
             return None
         return Georeference(
             datum,

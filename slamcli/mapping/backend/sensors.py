@@ -10,6 +10,7 @@ from itertools import pairwise
 from operator import attrgetter
 from typing import Protocol, TypeVar
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from slamcli.core.arrays import Float64Array
@@ -26,6 +27,8 @@ _STAMP = attrgetter("stamp")
 # An angle offset with a smaller sigma is known: from then on windows may take it as a prior.
 # [guarded by tests/mapping/backend/test_sensors.py]
 _MAX_KNOWN_SIGMA_RADIANS = 0.1
+# Odometry is compared with this many frames first, and with half as many again each time.
+_FIRST_CHECK = 5
 # Nobody drives nearer to a pole; the plane of a datum there has no east. [by definition]
 _MAX_LATITUDE_DEGREES = 89.9
 
@@ -58,6 +61,12 @@ class Sensors:
         # GPS readings of a receiver without a fix: outliers from the start.
         self.no_fixes = 0
         self._track = telemetry.OdometryTrack(self.options)
+        self._seen = telemetry.VisualMotions()
+        self._next_check = _FIRST_CHECK
+        # In which way odometry contradicts the frames; it is then used no more. Empty if not.
+        self.odometry_fault = ""
+        # The same of the compass, and of GPS.
+        self.compass_fault = self.gps_fault = ""
         self._compass: list[CompassReading] = []
         self._gps: list[GpsReading] = []
         self._plane: LocalPlane | None = None
@@ -108,8 +117,57 @@ class Sensors:
         insort(self._gps, reading.with_sigma(), key=_STAMP)
 
     def motion(self, begin: float | None, end: float | None) -> Pose2 | None:
-        """Return ``begin_from_end`` by odometry; None without readings about those moments."""
-        return self._track.motion(begin, end)
+        """Return ``begin_from_end`` by odometry; None without readings about those moments.
+
+        Nor with readings that contradict the frames.
+        """
+        return None if self.odometry_fault else self._track.motion(begin, end)
+
+    def compare(self, first: StampedFrame, second: StampedFrame, motion: Pose2) -> None:
+        """Take the motion that two pictures determined; compare the odometry now and then."""
+        if first.stamp is None or second.stamp is None:
+            return
+        self._seen.add((first.index, first.stamp), (second.index, second.stamp), motion)
+        if len(self._seen) >= self._next_check:
+            self._next_check += max(_FIRST_CHECK, self._next_check // 2)
+            self.check()
+
+    def check(self) -> None:
+        """Compare all odometry with all that the frames showed so far."""
+        self.odometry_fault = telemetry.find_fault(
+            *self._track.arrays(), self._seen, self.options.time_offset_seconds
+        )
+        shift = self.options.time_offset_seconds
+        stamps = np.array([reading.stamp + shift for reading in self._compass])
+        headings = np.array([reading.heading_radians for reading in self._compass])
+        self.compass_fault = telemetry.find_heading_fault(stamps, headings, self._seen)
+
+    @property
+    def odometry_readings(self) -> int:
+        """The number of readings of odometry."""
+        return len(self._track)
+
+    @property
+    def compared(self) -> int:
+        """The number of frames that odometry could be compared with."""
+        return len(self._seen)
+
+    @property
+    def faults(self) -> list[str]:
+        """What is wrong with the readings, a line each; those of a contradiction are not used."""
+        named = (
+            ("odometry", self.odometry_fault),
+            ("compass", self.compass_fault),
+            ("GPS", self.gps_fault),
+        )
+        found = [f"{sensor} {fault}" for sensor, fault in named if fault]
+        found += [
+            f"odometry is reset at {stamp:.3f} s: motions across that moment are not used"
+            for stamp in self._track.resets
+        ]
+        if self.no_fixes:
+            found.append(f"GPS has {self.no_fixes} readings without a fix, at 0, 0 or a pole")
+        return found
 
     def link(self, first: StampedFrame, second: StampedFrame) -> Link | None:
         """Return the motion between two frames by odometry; None without readings for it."""
@@ -127,6 +185,8 @@ class Sensors:
 
     def headings(self, frames: Sequence[PoseEstimate]) -> list[HeadingReading]:
         """Return the compass readings about some placed frames, each attached to one of them."""
+        if self.compass_fault:
+            return []
         near, share = self._near(self._compass, frames), self._share(self._compass)
         return [
             HeadingReading(index, motion, reading.heading_radians, reading.sigma_radians, share)

@@ -32,6 +32,8 @@ from slamcli.run.stitch.timing import TIMING_NAME, Timing
 from slamcli.run.telemetry import TelemetryFiles, feed_shifted
 
 _DRAWINGS = "matches"
+# With so many frames compared, the fault of an odometry that contradicts them is clear.
+_FRAMES_TO_NAME_A_FAULT = 16
 PRODUCTS = (
     "poses.csv",
     "run.toml",
@@ -213,11 +215,23 @@ def _track_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> Loc
         if mapper.estimates and not vanished:
             resume.save(mapper, files, checkpoint)
         raise
+    _refuse_contradiction(drive, checkpoint)
     offset = feed_shifted(mapper, drive.telemetry) if drive.telemetry.find_time_offset else ""
     finish(mapper, session)
+    _refuse_contradiction(drive, checkpoint)
     drive = replace(drive, inputs=replace(drive.inputs, files=files))
     registered = registration_of(mapper)
     return LocatedDrive(drive, mapper, registered, thumbnails, tuple(vanished), offset)
+
+
+def _refuse_contradiction(drive: Drive, checkpoint: Checkpoint) -> None:
+    """Refuse readings that contradict the frames: raises InputError, and nothing is to resume."""
+    files, sensors = drive.telemetry_files, drive.mapper.sensors
+    named = ((files.odometry, sensors.odometry_fault), (files.compass, sensors.compass_fault))
+    for file, fault in named:
+        if fault:
+            checkpoint.close()
+            raise InputError(f"{file} {fault}")
 
 
 def _locate(
@@ -245,6 +259,9 @@ def _locate(
         files[prepared.index] = replace(files[prepared.index], digest=prepared.digest)
         if drive.options.debug:
             draw_trials(mapper.registrations, checkpoint.drawings)
+        sensors = mapper.sensors
+        if sensors.odometry_fault and sensors.compared >= _FRAMES_TO_NAME_A_FAULT:
+            break
         stop = session.interruption.stops_here()
         if not vanished and (stop or schedule.due() or done == len(files)):
             schedule.run(lambda: resume.save(mapper, files, checkpoint))

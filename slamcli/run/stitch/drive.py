@@ -160,7 +160,7 @@ def open_drive(
         # The cluster's workers run in folders of their own.
         absolute = [replace(file, path=file.path.absolute()) for file in inputs.files]
         inputs = replace(inputs, files=absolute)
-    telemetry = read_telemetry(telemetry_files, inputs)
+    telemetry = read_telemetry(telemetry_files, inputs, options.telemetry.time_offset_seconds)
     exports.check_exports(options.export, inputs.files, has_gps=bool(telemetry.gps))
     outputs.check_products(options.products, inputs.calibration)
     if options.self_calibrate and telemetry_files.any:

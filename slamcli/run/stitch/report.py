@@ -153,8 +153,14 @@ def _sensor_rows(located: LocatedDrive) -> list[tuple[str, str]]:
         rows.append(("links off", f"{len(mapper.switched_off)}, contradicted by the others"))
     if located.time_offset:
         rows.append(("time offset", located.time_offset))
+    sensors = mapper.sensors
+    if sensors.odometry_readings:
+        compared = f"compared with {sensors.compared} frames, no contradiction"
+        rows.append(("odometry", f"{sensors.odometry_readings} readings, {compared}"))
+    rows += [("sensors", fault) for fault in sensors.faults]
     rows += [("on Earth", exports.describe(found)) for found in mapper.georeferences.values()]
-    if mapper.sensors.datum_degrees is not None and not mapper.georeferences:
+    known = bool(mapper.georeferences or sensors.gps_fault)
+    if sensors.datum_degrees is not None and not known:
         rows.append(("on Earth", "not known: the way is too short for the accuracy of the GPS"))
     return rows
 
