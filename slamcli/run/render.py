@@ -56,7 +56,7 @@ def render(
     if not estimates:
         raise InputError(f"{path} has no frame with a pose; there is nothing to paint")
     where = partial(map_file_of, files, remedy=remedy)
-    scenes = scenes_of(floor_map.calibration, estimates, where, options.turn_radians)
+    scenes = scenes_of(floor_map.calibration, estimates, where, options, dict(floor_map.datums))
     read = (map_path(path), *(file.path for file in files))
     with (
         session.interruption.on_signals(),

@@ -5,11 +5,20 @@ pyproj is imported here and nowhere else.
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from slamcli.core.arrays import Float64Array
+from slamcli.core.config import Datum
 from slamcli.core.errors import InputError
+from slamcli.core.geometry import Pose2
+
+# The Universal Transverse Mercator system ends there. [by definition]
+_MAX_UTM_DEGREES = 84.0
+_STEP_METRES = 50.0
 
 
 def projection(datum_degrees: tuple[float, float]) -> str:
@@ -20,6 +29,52 @@ def projection(datum_degrees: tuple[float, float]) -> str:
     """
     latitude, longitude = datum_degrees
     return f"+proj=tmerc +lat_0={latitude!r} +lon_0={longitude!r} +k=1 +datum=WGS84 +units=m"
+
+
+@dataclass(frozen=True, slots=True)
+class MapProjection:
+    """A map's place in a projected coordinate system that other programs know.
+
+    Attributes
+    ----------
+    crs : str
+        ``EPSG:n`` of the zone of the Universal Transverse Mercator system; beyond its latitudes
+        the PROJ string of the plane at the datum.
+    projected_from_map : (3, 3) float64
+        A similarity: metres east and north, from metres of the map.
+    """
+
+    crs: str
+    projected_from_map: Float64Array
+
+    @property
+    def turn_radians(self) -> float:
+        """Angle from the projection's east to the map's x axis, counter-clockwise."""
+        return math.atan2(self.projected_from_map[1, 0], self.projected_from_map[0, 0])
+
+
+def project_map(datum: Datum) -> MapProjection:
+    """Return where a map lies in the system of its zone.
+
+    Its scale and the convergence of the meridians are those at the map's origin: within 1 km the
+    error is below 0.1 mm, as both planes are conformal.
+
+    Raises
+    ------
+    InputError
+        When pyproj is not installed.
+    """
+    latitude, longitude = datum.latitude_degrees, datum.longitude_degrees
+    turn = Pose2(0.0, 0.0, datum.east_heading_radians).matrix
+    if abs(latitude) > _MAX_UTM_DEGREES:
+        return MapProjection(projection((latitude, longitude)), turn)
+    zone = int((longitude + 180.0) % 360.0 // 6.0) + 1
+    crs = f"EPSG:{(32600 if latitude >= 0 else 32700) + zone}"
+    steps = np.array([(0.0, 0.0), (-_STEP_METRES, 0.0), (_STEP_METRES, 0.0)])
+    origin, west, east = LocalPlane((latitude, longitude)).projected(steps, crs)
+    x, y = (east - west) / (2.0 * _STEP_METRES)
+    there = np.array([[x, -y, origin[0]], [y, x, origin[1]], [0.0, 0.0, 1.0]])
+    return MapProjection(crs, there @ turn)
 
 
 class LocalPlane:
@@ -43,6 +98,8 @@ class LocalPlane:
             raise InputError("GPS needs pyproj: pip install slamcli[geo]") from error
         self._datum_degrees = datum_degrees
         plane = CRS.from_proj4(projection(datum_degrees))
+        self._transformer = Transformer.from_crs
+        self._plane = plane
         self._plane_from_earth = Transformer.from_crs("EPSG:4326", plane, always_xy=True)
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -61,3 +118,9 @@ class LocalPlane:
             metres[:, 0], metres[:, 1], direction="INVERSE"
         )
         return np.column_stack([latitudes, longitudes])
+
+    def projected(self, east_north: ArrayLike, crs: str) -> Float64Array:
+        """Return (N, 2) metres in another projected system, of (N, 2) metres."""
+        metres = np.asarray(east_north, dtype=np.float64).reshape(-1, 2)
+        transformer = self._transformer(self._plane, crs, always_xy=True)
+        return np.column_stack(transformer.transform(metres[:, 0], metres[:, 1]))

@@ -8,7 +8,7 @@ from typing import Literal
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration, Rocking
-from slamcli.core.config import FeatureOptions, FrameSelection
+from slamcli.core.config import Datum, FeatureOptions, FrameSelection
 from slamcli.core.geometry import Pose2
 from slamcli.core.records.frames import Keyframe
 
@@ -110,6 +110,8 @@ class FloorMap:
         Folders and files that the frames were read from, in their order; empty where not recorded.
     selection : FrameSelection
         Which frames were taken of those that are videos or bags.
+    datums : tuple of (int, Datum)
+        Fragments whose place on Earth was measured, and that of their origins.
     """
 
     calibration: Calibration
@@ -121,3 +123,4 @@ class FloorMap:
     links: tuple[Link, ...]
     sources: tuple[Path, ...] = ()
     selection: FrameSelection = field(default_factory=FrameSelection)
+    datums: tuple[tuple[int, Datum], ...] = ()

@@ -33,7 +33,9 @@ from slamcli.io import calibration_codec
 from slamcli.io.checks import FieldError, check_number, check_word
 from slamcli.io.files import write_bytes
 from slamcli.io.map_file.header import (
+    datums_header,
     features_header,
+    parse_datums,
     parse_features,
     parse_selection,
     parse_sources,
@@ -78,6 +80,7 @@ def save_map(path: Path, floor_map: FloorMap) -> None:
         "norm": features_norm(keyframes),
         "sources": sources_header(floor_map.sources),
         "selection": selection_header(floor_map.selection),
+        "datums": datums_header(floor_map.datums),
         "arrays": {name: [a.dtype.str, list(a.shape)] for name, a in arrays.items()},
     }
     text = json.dumps(header, sort_keys=True, allow_nan=False).encode()
@@ -185,6 +188,7 @@ def _parse(body: bytes) -> FloorMap:
         links,
         parse_sources(header.get("sources", [])),
         parse_selection(header.get("selection", {})),
+        parse_datums(header.get("datums", [])),
     )
 
 

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, astuple, fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
-from slamcli.core.bounds import FEATURES, HERTZ, SECONDS_OR_ZERO, TIME_STEP, quoted
-from slamcli.core.config import FeatureMethod, FeatureOptions, FrameSelection
+from slamcli.core.bounds import (
+    ANGLE,
+    FEATURES,
+    HERTZ,
+    LATITUDE_DEGREES,
+    LONGITUDE_DEGREES,
+    SECONDS_OR_ZERO,
+    TIME_STEP,
+    quoted,
+)
+from slamcli.core.config import Datum, FeatureMethod, FeatureOptions, FrameSelection
 from slamcli.core.errors import MapError
 from slamcli.io.checks import check_number, check_word
 
@@ -83,3 +92,26 @@ def parse_selection(section: Any) -> FrameSelection:
     numbers = {name: value for name, value in section.items() if name != "topic"}
     checked = {n: check_number(v, n, _SELECTION_LIMITS[n]) for n, v in numbers.items()}
     return FrameSelection(**checked, topic=topic)
+
+
+def datums_header(datums: Sequence[tuple[int, Datum]]) -> list[list[float]]:
+    """Return where fragments lie on Earth: fragment, latitude, longitude, heading."""
+    return [[number, *astuple(datum)] for number, datum in datums]
+
+
+def parse_datums(section: Any) -> tuple[tuple[int, Datum], ...]:
+    """Return where fragments lie on Earth, each number in its range.
+
+    Raises
+    ------
+    FieldError, MapError
+    """
+    found = []
+    for row in section if isinstance(section, list) else [section]:
+        if not isinstance(row, list) or len(row) != 4 or type(row[0]) is not int:
+            raise MapError("its places on Earth are not those of fragments")
+        limits = (LATITUDE_DEGREES, LONGITUDE_DEGREES, ANGLE)
+        names = ("latitude", "longitude", "heading")
+        numbers = map(check_number, row[1:], names, limits)
+        found.append((row[0], Datum(*numbers)))
+    return tuple(found)

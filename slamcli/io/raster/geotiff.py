@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from slamcli.core.arrays import Float64Array, GenericArray
-from slamcli.core.config import Datum
 from slamcli.core.errors import InputError, OutputError
 
 # GDAL's own cache of blocks, in place of its default of 5 % of the memory
@@ -39,9 +38,10 @@ class RasterLayout:
     kind : str
         Numpy's name of the type.
     transform : (3, 3) float64
-        Metres from pixels, whole numbers at the upper left pixel's corner.
-    datum : Datum or None
-        Where the map lies on the earth; without one it has no coordinate system.
+        Metres of that system, or of the map, from pixels; whole numbers at the upper left pixel's
+        corner.
+    crs : str or None
+        The coordinate system that the transform leads to, as PROJ knows it; None for none.
     nodata : float or None
         What a pixel of a layer has where nothing was seen.
     """
@@ -50,7 +50,7 @@ class RasterLayout:
     bands: int
     kind: str
     transform: Float64Array
-    datum: Datum | None
+    crs: str | None
     nodata: float | None = None
 
 
@@ -108,8 +108,8 @@ def _profile(rasterio: Any, layout: RasterLayout) -> dict[str, Any]:
         profile |= {"photometric": "RGB", "alpha": "unspecified"}
     if layout.nodata is not None:
         profile["nodata"] = layout.nodata
-    if layout.datum is not None:
-        profile["crs"] = _local_crs(layout.datum)
+    if layout.crs is not None:
+        profile["crs"] = layout.crs
     return profile
 
 
@@ -160,12 +160,6 @@ def _write_block(rasterio: Any, target: Any, row: int, column: int, pixels: Gene
         target.write(part, 1, window=window)
     else:
         target.write(np.moveaxis(part[..., [2, 1, 0, 3]], -1, 0), window=window)
-
-
-def _local_crs(datum: Datum) -> str:
-    """Return metres east and north of the datum, as PROJ's azimuthal equidistant projection."""
-    latitude, longitude = datum.latitude_degrees, datum.longitude_degrees
-    return f"+proj=aeqd +lat_0={latitude:.9f} +lon_0={longitude:.9f} +datum=WGS84 +units=m +no_defs"
 
 
 def _rasterio() -> Any:

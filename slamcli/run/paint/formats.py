@@ -8,19 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
-from slamcli.core.arrays import GenericArray, UInt8Array, UInt16Array
+from slamcli.core.arrays import Float64Array, GenericArray, UInt8Array, UInt16Array
 from slamcli.core.config import Layer
 from slamcli.core.errors import InputError
-from slamcli.core.geometry import Grid, Pose2
+from slamcli.core.geometry import Grid
 from slamcli.io.files import write_drawing
 from slamcli.io.raster import deepzoom, geotiff, png, world_file
 from slamcli.io.raster.tile_store import StoredTile, TileStore, put_part
 from slamcli.run.paint import nav2
 from slamcli.run.paint.map_to_write import MapToWrite
+from slamcli.stages.geodesy import project_map
 from slamcli.stages.mosaic import tiles
 
 # Layers of a PNG are 16 bits deep; a resolution is given in micrometres.
 _MAX_GRAY = 65535
+# A pixel of a map a million pixels wide moves by less.
+_AXIS_SHARE = 1e-9
 _KINDS = {"resolution": ("float32", 0.0), "views": ("uint16", None), "last-frame": ("int32", -1.0)}
 
 
@@ -78,9 +81,10 @@ def _obstacle_strip(store: TileStore, grid: Grid) -> png.Strip:
 def _write_geotiff(output: MapToWrite) -> None:
     shape = (output.grid.height, output.grid.width)
     transform = output.map_from_painted.matrix @ output.grid.metres_from_corner
-    datum = output.options.datum
+    datum, crs = output.options.datum, None
     if datum is not None:
-        transform = Pose2(0.0, 0.0, datum.east_heading_radians).matrix @ transform
+        placed = project_map(datum)
+        crs, transform = placed.crs, _axis_aligned(placed.projected_from_map @ transform)
 
     def write(
         stem: str,
@@ -89,7 +93,7 @@ def _write_geotiff(output: MapToWrite) -> None:
         pixels: Callable[[StoredTile], GenericArray | None],
         nodata: float | None,
     ) -> None:
-        layout = geotiff.RasterLayout(shape, bands, kind, transform, datum, nodata)
+        layout = geotiff.RasterLayout(shape, bands, kind, transform, crs, nodata)
         geotiff.write_geotiff(output.path(stem, ".tif"), layout, _blocks(output, pixels))
 
     write("mosaic", 4, "uint8", lambda tile: world_file.transparent(tile.image, tile.mask), None)
@@ -98,6 +102,14 @@ def _write_geotiff(output: MapToWrite) -> None:
     for name in output.options.layers:
         kind, nodata = _KINDS[name]
         write(name, 1, kind, lambda tile, name=name: tile.layers[name], nodata)  # type: ignore[misc]
+
+
+def _axis_aligned(transform: Float64Array) -> Float64Array:
+    """Return a transform without the rounding errors of one whose axes are east and north."""
+    aligned = transform.copy()
+    linear = aligned[:2, :2]
+    linear[np.abs(linear) < _AXIS_SHARE * np.abs(linear).max()] = 0.0
+    return aligned
 
 
 def _write_deep_zoom(output: MapToWrite) -> None:

@@ -66,10 +66,13 @@ class Overview:
     image : (h, w, 3) uint8, BGR
     grid : Grid
         In the axes that the map is painted in.
+    turn_radians : float
+        From the map's axes to those.
     """
 
     image: UInt8Array
     grid: Grid
+    turn_radians: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +130,7 @@ def write_maps(
         overview = None
         if grid is not None:
             suffix = f"_{number}" if number else ""
-            given = replace(options, datum=options.datum or scene.datum)
+            given = replace(options, datum=scene.datum)
             poses = [e.map_from_robot for e in scene.estimates if e.map_from_robot is not None]
             output = MapToWrite(
                 staging,
@@ -175,17 +178,18 @@ def _write_map(output: MapToWrite, scene: Scene) -> Overview:
     small = Grid(grid.x_min, grid.y_max, grid.metres_per_pixel * factor, width, height)
     drawing = draw_trajectory(image, mask, small, scene.estimates, output.unit)
     write_drawing(output.path("trajectory", ".png"), drawing)
-    return _overview(image, mask, small)
+    return _overview(image, mask, small, -output.map_from_painted.theta)
 
 
-def _overview(image: UInt8Array, mask: UInt8Array, grid: Grid) -> Overview:
+def _overview(image: UInt8Array, mask: UInt8Array, grid: Grid, turn_radians: float) -> Overview:
     """Return a map on the background of the page, of a size that it shows at once."""
     visible = np.full_like(image, _UNSEEN_GRAY)
     cv2.copyTo(image, mask, visible)
     scale = min(1.0, _OVERVIEW_PIXELS / max(grid.width, grid.height))
     size = max(1, round(scale * grid.width)), max(1, round(scale * grid.height))
     small = np.asarray(cv2.resize(visible, size, interpolation=cv2.INTER_AREA), np.uint8)
-    return Overview(small, Grid(grid.x_min, grid.y_max, grid.metres_per_pixel / scale, *size))
+    grid = Grid(grid.x_min, grid.y_max, grid.metres_per_pixel / scale, *size)
+    return Overview(small, grid, turn_radians)
 
 
 def _check_size(scene: Scene, painter: Painter, options: ProductOptions) -> None:

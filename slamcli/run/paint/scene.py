@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.mounting import rocked
-from slamcli.core.config import Datum
+from slamcli.core.config import Datum, ProductOptions
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import PosedFrame, PoseEstimate
 from slamcli.io.frames import FrameFile
 from slamcli.mapping.backend.pose_graph import placed_fragments
 from slamcli.run.paint.thumbnails import Thumbnails
+from slamcli.stages.geodesy import project_map
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +50,7 @@ def scenes_of(
     calibration: Calibration,
     estimates: Sequence[PoseEstimate],
     file_of: Callable[[PoseEstimate], FrameFile],
-    turn_radians: float,
+    options: ProductOptions,
     datums: Mapping[int, Datum] | None = None,
     thumbnails: Thumbnails | None = None,
 ) -> list[Scene]:
@@ -57,12 +58,16 @@ def scenes_of(
 
     Parameters
     ----------
+    options : ProductOptions
+        A map on Earth that is written as GeoTIFF is painted with north up, unless they turn it; a
+        planner's map keeps its axes, as few planners read a turned one.
     datums : mapping of int to Datum or None
         Of the fragments whose place on Earth was measured.
     """
-    painted_from_map = Pose2(0.0, 0.0, turn_radians)
     scenes = []
     for fragment, members in placed_fragments(estimates).items():
+        datum = options.datum or (datums or {}).get(fragment)
+        painted_from_map = Pose2(0.0, 0.0, _turn(options, datum))
         turned = tuple(_turned(one, painted_from_map) for one in members)
         tracked = [one for one in turned if one.status == "tracked"]
         shots = tuple(
@@ -81,11 +86,20 @@ def scenes_of(
                 shots,
                 turned,
                 painted_from_map.inverse(),
-                (datums or {}).get(fragment),
+                datum,
                 thumbnails or Thumbnails(),
             )
         )
     return scenes
+
+
+def _turn(options: ProductOptions, datum: Datum | None) -> float:
+    """Return the angle from the map's axes to those that it is painted in."""
+    on_earth = datum is not None and "geotiff" in options.formats
+    if options.turn_radians != 0.0 or not on_earth or "nav2" in options.formats:
+        return options.turn_radians
+    assert datum is not None
+    return project_map(datum).turn_radians
 
 
 def _turned(estimate: PoseEstimate, painted_from_map: Pose2) -> PoseEstimate:

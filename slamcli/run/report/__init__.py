@@ -26,7 +26,6 @@ def write_report(folder: Path, run: FinishedRun, session: Session) -> None:
             "note": run.note,
             "rows": run.rows,
             "command": run.command,
-            "turn": run.turn_radians,
             "maps": map_list(run),
             "frames": frame_table(run),
             "links": link_table(run),

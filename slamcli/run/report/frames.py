@@ -39,6 +39,7 @@ def map_list(run: FinishedRun) -> list[dict[str, object]]:
             spent += len(url)
             one |= {
                 "picture": url if spent <= _MAX_MAP_CHARACTERS or number == 0 else "",
+                "turn": overview.turn_radians,
                 "x": grid.x_min,
                 "y": grid.y_max,
                 "scale": grid.metres_per_pixel,

@@ -79,9 +79,10 @@
   const canvas = byId("floor"), context = canvas.getContext("2d");
   const view = { x: 0, y: 0, scale: 1 };
   let current = maps[0] || null, selected = null, width = 0, height = 0;
-  const cosine = Math.cos(data.turn), sine = Math.sin(data.turn);
-  const painted = (x, y) => [cosine * x - sine * y, sine * x + cosine * y];
-  const unpainted = (x, y) => [cosine * x + sine * y, cosine * y - sine * x];
+  // The axes that a map is painted in may be turned, for north to be up.
+  const turned = (x, y, angle) => { const c = Math.cos(angle), s = Math.sin(angle); return [c * x - s * y, s * x + c * y]; };
+  const painted = (x, y) => turned(x, y, current.turn || 0);
+  const unpainted = (x, y) => turned(x, y, -(current.turn || 0));
   const screen = (x, y) => {
     const [px, py] = painted(x, y);
     return [width / 2 + (px - view.x) * view.scale, height / 2 - (py - view.y) * view.scale];

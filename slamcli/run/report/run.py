@@ -36,8 +36,6 @@ class FinishedRun:
     mapper : Mapper
         Which has the sensors' readings and the place on Earth.
     painted : PaintedMaps
-    turn_radians : float
-        From the map's axes to those that it is painted in.
     self_calibration : SelfCalibration or None
     survey : sequence of (str, str) or None
         What a survey found of its camera.
@@ -53,7 +51,6 @@ class FinishedRun:
     registered: RegisteredDrive
     mapper: Mapper
     painted: PaintedMaps
-    turn_radians: float = 0.0
     self_calibration: SelfCalibration | None = None
     survey: Sequence[tuple[str, str]] | None = None
 

@@ -288,7 +288,7 @@ def paint(
         located.calibration,
         located.estimates,
         lambda estimate: files[estimate.index],
-        products.turn_radians,
+        products,
         exports.datums(located.mapper),
         located.thumbnails,
     )
@@ -310,6 +310,7 @@ def write(located: LocatedDrive, staging: Path, checkpoint: Checkpoint, session:
     if registered.floor_map is not None:
         sources = tuple(located.drive.sources)
         floor_map = replace(registered.floor_map, sources=sources, selection=options.selection)
+        floor_map = replace(floor_map, datums=tuple(exports.datums(located.mapper).items()))
         save_map(staging / MAP_NAME, floor_map)
     exports.write_exports(staging, options.export, registered, located.mapper)
     report.write_run(staging / "run.toml", located, session)

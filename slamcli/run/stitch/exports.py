@@ -21,7 +21,7 @@ from slamcli.io.trajectories import write_kitti, write_tum
 from slamcli.mapping.backend.pose_graph import placed_fragments
 from slamcli.mapping.mapper import Mapper
 from slamcli.selfcal import RegisteredDrive
-from slamcli.stages.geodesy import LocalPlane, projection
+from slamcli.stages.geodesy import LocalPlane, project_map, projection
 
 PRODUCTS = ("trajectory*.tum", "trajectory*.kitti", "graph*.g2o", "track.geojson", "links.csv")
 
@@ -63,12 +63,13 @@ def write_exports(
 
 def datums(mapper: Mapper) -> dict[int, Datum]:
     """Return the origin on Earth of every fragment with enough GPS readings."""
-    found = {}
-    for fragment, on_earth in mapper.georeferences.items():
-        pose, plane = on_earth.east_north_from_map, LocalPlane(on_earth.datum_degrees)
-        latitude, longitude = plane.geodetic([(pose.x, pose.y)])[0].tolist()
-        found[fragment] = Datum(latitude, longitude, pose.theta)
-    return found
+    return {fragment: _datum(found) for fragment, found in mapper.georeferences.items()}
+
+
+def _datum(found: Georeference) -> Datum:
+    pose, plane = found.east_north_from_map, LocalPlane(found.datum_degrees)
+    latitude, longitude = plane.geodetic([(pose.x, pose.y)])[0].tolist()
+    return Datum(latitude, longitude, pose.theta)
 
 
 def georeference_table(found: Georeference) -> dict[str, Scalar]:
@@ -78,6 +79,7 @@ def georeference_table(found: Georeference) -> dict[str, Scalar]:
         "datum_latitude_degrees": found.datum_degrees[0],
         "datum_longitude_degrees": found.datum_degrees[1],
         "projection": projection(found.datum_degrees),
+        **_projected(found),
         "origin_east_metres": pose.x,
         "origin_north_metres": pose.y,
         "x_axis_degrees_from_east": math.degrees(pose.theta),
@@ -88,6 +90,18 @@ def georeference_table(found: Georeference) -> dict[str, Scalar]:
         "lever_arm_left_metres": found.lever_arm_metres[1],
         "gps_readings": found.readings,
         "gps_outliers": found.outliers,
+    }
+
+
+def _projected(found: Georeference) -> dict[str, Scalar]:
+    """Return the map's place in the system that GeoTIFFs are written in."""
+    placed = project_map(_datum(found))
+    east, north = placed.projected_from_map[:2, 2].tolist()
+    return {
+        "crs": placed.crs,
+        "crs_origin_east_metres": east,
+        "crs_origin_north_metres": north,
+        "crs_x_axis_degrees_from_east": math.degrees(placed.turn_radians),
     }
 
 

@@ -96,7 +96,6 @@ def finished(located: LocatedDrive, painted: PaintedMaps, command: str) -> Finis
         registered=located.registered,
         mapper=located.mapper,
         painted=painted,
-        turn_radians=drive.options.products.turn_radians,
         self_calibration=located.self_calibration,
         survey=None if survey is None else survey.rows,
     )

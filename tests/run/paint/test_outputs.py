@@ -7,6 +7,7 @@ import os
 import pickle
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -16,12 +17,15 @@ import pytest
 import yaml
 from command_line import slam
 
+from slamcli.core.config import Datum
 from slamcli.core.geometry import Grid, Pose2, apply_homography
 from slamcli.core.records import Tile
 from slamcli.io.frames import list_frames, read_frame
+from slamcli.io.map_file import load_map, save_map
 from slamcli.io.raster import deepzoom, geotiff, world_file
 from slamcli.io.raster.tile_store import TileStore
 from slamcli.run.paint import budget, frame_cache, thumbnails
+from slamcli.simulation.drive import geodetic_from_local
 from slamcli.stages.mosaic.source_image import SourceImage
 
 rasterio = pytest.importorskip("rasterio")
@@ -58,12 +62,39 @@ def test_the_geotiff_is_a_cog_with_the_pngs_pixels_in_its_place(written: Path) -
         np.testing.assert_array_equal(np.moveaxis(tif.read(), 0, -1)[..., [2, 1, 0, 3]], png)
         world = np.loadtxt(written / "mosaic.pgw")
         x, y = tif.transform @ (0.5, 0.5)
-        # The map's x axis is 30 degrees north of east.
-        turned = Pose2(0.0, 0.0, np.radians(30.0)).apply([world[4:6]])[0]
-        np.testing.assert_allclose((x, y), turned, atol=1e-6)
-        assert tif.crs.is_projected
-        longitude, latitude = warp.transform(tif.crs, "EPSG:4326", [0.0], [0.0])
-        np.testing.assert_allclose((latitude[0], longitude[0]), (29.6436, -82.3549), atol=1e-9)
+        assert tif.crs.to_epsg() == 32617
+        # The map's x axis is 30 degrees north of east; 1e-9 degrees are a tenth of a millimetre.
+        turned = Pose2(0.0, 0.0, np.radians(30.0)).apply([world[4:6]])
+        expected = geodetic_from_local(turned, (29.6436, -82.3549))[0]
+        longitude, latitude = warp.transform(tif.crs, "EPSG:4326", [x], [y])
+        np.testing.assert_allclose((latitude[0], longitude[0]), expected, atol=1e-9)
+
+
+def test_a_map_with_a_place_on_earth_is_rendered_with_north_up(
+    written: Path, drive: Path, tmp_path: Path
+) -> None:
+    """As GPS leaves it in map.slam: its corners are where the map says, in its zone's metres."""
+    floor_map = load_map(written)
+    datum = Datum(-33.9, 18.4, np.radians(30.0))
+    save_map(tmp_path / "on_earth" / "map.slam", replace(floor_map, datums=((0, datum),)))
+    assert load_map(tmp_path / "on_earth").datums == ((0, datum),)
+    output = tmp_path / "out"
+    formats = ("--format", "png,geotiff")
+    result = slam(
+        "render", tmp_path / "on_earth", "--frames", drive, "-o", output, *COARSE, *formats
+    )
+    assert result.exit_code == 0, result.output
+    world = np.loadtxt(output / "mosaic.pgw").reshape(3, 2).T
+    with rasterio.open(output / "mosaic.tif") as tif:
+        assert tif.crs.to_epsg() == 32734
+        assert tif.transform.b == tif.transform.d == 0.0
+        assert tif.transform.a == -tif.transform.e == pytest.approx(0.004, rel=1e-3)
+        for column, row in ((0, 0), (tif.width - 1, 0), (0, tif.height - 1)):
+            x, y = tif.transform @ (column + 0.5, row + 0.5)
+            longitude, latitude = warp.transform(tif.crs, "EPSG:4326", [x], [y])
+            turned = Pose2(0.0, 0.0, datum.east_heading_radians).apply([world @ (column, row, 1)])
+            expected = geodetic_from_local(turned, (-33.9, 18.4))[0]
+            np.testing.assert_allclose((latitude[0], longitude[0]), expected, atol=1e-9)
 
 
 def test_the_layers_tell_how_each_pixel_was_seen(written: Path) -> None:
