@@ -21,7 +21,7 @@ from slamcli.core.records import Frame, PreparedFrame
 from slamcli.mapping import preprocessing
 from slamcli.mapping.mapper import Mapper
 from slamcli.registration import align, direct
-from slamcli.simulation import photograph
+from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import CameraOptions
 from slamcli.stages import dense
 
@@ -180,3 +180,30 @@ def test_a_floor_that_repeats_proves_nothing_where_its_rival_fits(
         return replace(frame, periodicity=Deferred.of(np.array([[0.02, 0.0]])))
 
     assert tracked(photographer, pictures, expected, change=repeating) is None
+
+
+def test_noise_along_a_plain_line_is_no_proof_of_a_motion_along_it() -> None:
+    """By the noise of the third frame its motion seems to be fixed, to 3 mm."""
+
+    def paint_a_line(grid: slamcli.Grid) -> np.ndarray:
+        y = grid.y_max - grid.metres_per_pixel * np.arange(grid.height)
+        line = np.broadcast_to((np.abs(y - 0.03) < 0.012)[:, None], (grid.height, grid.width))
+        return np.dstack([np.where(line, np.uint8(220), np.uint8(60))] * 3)
+
+    camera = photograph.make_camera(CAMERA)
+    floor = floors.BlockFloor(paint_a_line, 0.001)
+    photographer = photograph.Photographer(photograph.World(floor), camera)
+    mapper, measured, before = (
+        Mapper(camera, MapperOptions(metres_per_pixel=0.00126)),
+        Pose2(),
+        None,
+    )
+    for i in range(3):
+        pose = Pose2(0.03 * i, 0.01 * math.sin(0.3 * i), 0.05 * math.sin(0.3 * i + 1))
+        if before is not None:
+            step = before.inverse() @ pose
+            measured = measured @ Pose2(1.02 * step.x, 1.02 * step.y, step.theta + 0.01)
+        before = pose
+        mapper.odometry(slamcli.OdometryReading(0.2 * i, measured))
+        mapper.update(Frame(i, str(i), 0.2 * i, take(photographer, pose, i)))
+    assert {link.kind for link in mapper.links} == {"partial"}
