@@ -232,11 +232,13 @@ class LoopCloser:
         prior = dense.MotionPrior(candidate.expected, candidate.covariance)
         try:
             prepared = self._database.decode(candidate.b)
-            result = self._relocalizer.register(candidate.a, prepared, candidate.guess, prior)
+            unexpected = not self._near(candidate.expected, candidate.guess)
+            result = None if unexpected else self._relocalizer.track(candidate.a, prepared, prior)
+            if result is None:
+                result = self._relocalizer.register(candidate.a, prepared, candidate.guess, prior)
         except FrameError:  # the keyframe's pictures, from a damaged map
             self._failed[pair] = candidate.guess
             return None
-        unexpected = not self._near(candidate.expected, candidate.guess)
         if (
             result.link is None
             or (unexpected and not self._relocalizer.is_reliable(result))

@@ -48,7 +48,7 @@ class Tracker:
     def track(
         self, prepared: PreparedFrame, before: PreparedFrame | None
     ) -> list[RegistrationResult]:
-        """Register a frame to the latest keyframes, the newest first.
+        """Register a frame to the latest keyframes, those that see most of its floor first.
 
         After the first accepted registration, older keyframes are used while its overlap is small
         and theirs is large enough. Without an accepted one, the frame is registered to the latest
@@ -61,7 +61,7 @@ class Tracker:
             The frame before it that could be used.
         """
         results: list[RegistrationResult] = []
-        for keyframe in reversed(self._tracking.keyframes):
+        for keyframe in self._by_expected_overlap(prepared):
             accepted = [(r, r.link) for r in results if r.link is not None]
             guess = None
             if accepted:
@@ -108,6 +108,23 @@ class Tracker:
             keyframe, prepared, guess, calibration, options, window=window, prior=prior
         )
         return camera_tilt.without_unusual(result, self._tracking.tilts_radians, options)
+
+    def _by_expected_overlap(self, prepared: PreparedFrame) -> list[PreparedFrame]:
+        """Return the latest keyframes: the newest first, unless a robot that turned back left it.
+
+        An older one may then see all of the frame's floor.
+        """
+        newest_first = self._tracking.keyframes[::-1]
+        shares: list[float] = []
+        for keyframe in newest_first:
+            prior = self._motion_model.prior(keyframe, prepared)
+            if prior is None:
+                return newest_first
+            shares.append(_overlap(keyframe, prepared, prior.a_from_b))
+            if shares[0] >= self._options.keyframe_overlap:
+                return newest_first
+        order = sorted(range(len(shares)), key=lambda number: -shares[number])
+        return [newest_first[number] for number in order]
 
     def _track_directly(
         self, keyframe: PreparedFrame, prepared: PreparedFrame, guess: Pose2 | None

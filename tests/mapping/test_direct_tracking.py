@@ -102,6 +102,22 @@ def test_only_keyframes_have_features_and_most_frames_take_few_kernels(
     assert calls["refine"] <= 2 * FRAMES
 
 
+def test_a_robot_that_drives_back_is_tracked_by_the_keyframes_that_see_its_floor(
+    photographer: photograph.Photographer, calls: Counter[str]
+) -> None:
+    mapper = Mapper(photographer.calibration)
+    way = [0.04 * step for step in (*range(9), *range(7, -1, -1))]
+    for index, x in enumerate(way):
+        before = Counter(calls)
+        estimate = mapper.update(take(photographer, Pose2(x), index))
+        assert error_of(estimate, Pose2(x))[0] < 0.0002
+        # At the turn it is expected to go on.
+        if index >= 12:
+            assert (calls - before)["align"] == 0
+            assert (calls - before)["extract"] == 0
+            assert (calls - before)["refine"] <= 2
+
+
 def test_features_are_the_same_whenever_they_are_extracted(
     photographer: photograph.Photographer, pictures: list[np.ndarray]
 ) -> None:
