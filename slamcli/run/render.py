@@ -49,7 +49,7 @@ def render(
     remedy = "give their folder with --frames"
     sources = map_sources(floor_map, path, remedy) if frames is None else (frames,)
     files = list_frames(sources, selection=floor_map.selection, progress=session.progress)
-    if floor_map.calibration.unit == "px":
+    if floor_map.calibration.is_top_down:
         canvas = floor_map.calibration.image_size
         files = [replace(file, canvas=canvas) for file in files]
     estimates = [e for e in floor_map.estimates if e.map_from_robot is not None]

@@ -80,6 +80,11 @@ class Calibration:
     ahead_radians: float = float("nan")
 
     @property
+    def is_top_down(self) -> bool:
+        """Whether the frames are taken straight down, by a camera that was not calibrated."""
+        return math.isnan(self.pitch_radians)
+
+    @property
     def image_from_robot(self) -> Float64Array:
         """(3, 3): floor metres to undistorted pixel; w > 0 in front of the camera; read-only."""
         return _image_from_robot(self)

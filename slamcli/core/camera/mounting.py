@@ -86,9 +86,10 @@ def rocked(calibration: Calibration, rocking: Rocking) -> Calibration:
 
     Of a top-down frame without a calibration pitch and roll turn the camera about the picture's
     horizontal and vertical axis, and the height above the floor that its middle shows is the focal
-    length in pixels but for the rocking: see `top_down_homography`.
+    length in pixels but for the rocking: see `top_down_homography`. In metres it is that times the
+    size of a pixel on the floor.
     """
-    if calibration.unit == "px":
+    if calibration.is_top_down:
         return _rocked_top_down(calibration, rocking)
     height = calibration.height_metres + rocking.height_metres
     pitch = calibration.pitch_radians + rocking.pitch_radians
@@ -127,10 +128,12 @@ def top_down_homography(camera_matrix: Float64Array, rocking: Rocking) -> Float6
 
 def _rocked_top_down(calibration: Calibration, rocking: Rocking) -> Calibration:
     focal = float(calibration.camera_matrix[0, 0])
-    homography = top_down_homography(calibration.camera_matrix, rocking)
-    range_factor = max(1.0, 1.0 + rocking.height_metres / focal)
+    unit_pixels = float(calibration.robot_from_image[0, 0])
+    in_pixels = replace(rocking, height_metres=rocking.height_metres / unit_pixels)
+    homography = top_down_homography(calibration.camera_matrix, in_pixels)
+    range_factor = max(1.0, 1.0 + in_pixels.height_metres / focal)
     return replace(
         calibration,
-        robot_from_image=invert(homography),
+        robot_from_image=np.diag([unit_pixels, unit_pixels, 1.0]) @ invert(homography),
         max_range_metres=calibration.max_range_metres * range_factor,
     )

@@ -169,7 +169,7 @@ def _observe(
         gray = read_thumbnail(file) if gray is None else gray
     except FrameError:
         return None
-    if shot.calibration.unit == "px":
+    if shot.calibration.is_top_down:
         hull = footprint_hull(shot.calibration)
     return exposure.observe(gray, shot.calibration, hull, shot.map_from_robot, step)
 

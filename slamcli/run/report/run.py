@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.records import PoseEstimate
+from slamcli.core.telemetry import Georeference
 from slamcli.io.frames import FrameFile
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.paint.outputs import PaintedMaps
@@ -34,11 +35,13 @@ class FinishedRun:
     registered : RegisteredDrive
         The final camera, poses and links.
     mapper : Mapper
-        Which has the sensors' readings and the place on Earth.
+        Which has the sensors' readings.
     painted : PaintedMaps
     self_calibration : SelfCalibration or None
     survey : sequence of (str, str) or None
         What a survey found of its camera.
+    georeferences : mapping of int to Georeference
+        Where on Earth each map lies.
     """
 
     title: str
@@ -53,6 +56,7 @@ class FinishedRun:
     painted: PaintedMaps
     self_calibration: SelfCalibration | None = None
     survey: Sequence[tuple[str, str]] | None = None
+    georeferences: Mapping[int, Georeference] = field(default_factory=dict)
 
     @property
     def calibration(self) -> Calibration:

@@ -33,7 +33,7 @@ def sensor_agreement(run: FinishedRun) -> dict[str, object]:
         *_compass_rows(sensors, fragments),
     ]
     drawn = list[list[float]]()
-    for fragment, on_earth in run.mapper.georeferences.items():
+    for fragment, on_earth in run.georeferences.items():
         places, sigmas = _gps_places(sensors, fragments[fragment], on_earth)
         if len(places):
             rows.append(_gps_row(places, sigmas))

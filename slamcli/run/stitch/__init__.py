@@ -24,7 +24,7 @@ from slamcli.run.paint.scene import scenes_of
 from slamcli.run.paint.thumbnails import Thumbnails
 from slamcli.run.report import REPORT_NAME, write_report
 from slamcli.run.session.session import Session
-from slamcli.run.stitch import exports, oblique, report, resume, survey
+from slamcli.run.stitch import exports, oblique, on_earth, report, resume, survey
 from slamcli.run.stitch.debug_drawings import draw_trials
 from slamcli.run.stitch.drive import Drive, LocatedDrive, open_drive
 from slamcli.run.stitch.options import StitchOptions
@@ -86,7 +86,7 @@ def stitch(
             timing.done("opening")
             located = locate_frames(drive, checkpoint, session)
             timing.done("locating")
-            located = self_calibrate(located, session)
+            located = on_earth.on_earth(self_calibrate(located, session))
             timing.done("self_calibrating")
             painted = paint(located, staging, checkpoint, session)
             timing.done("painting")
@@ -110,7 +110,8 @@ def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> Loc
     may_be_survey = survey.may_be_survey(drive)
     if may_be_survey and not drive.mapper.estimates:
         found = survey.probe(drive.inputs.files, session)
-        if found.free or found.apart or drive.options.mount == "free":
+        flown = on_earth.geotagged(drive.inputs.files)
+        if found.free or found.apart or flown or drive.options.mount == "free":
             return _locate_uncalibrated(drive, found, checkpoint, session)
     located = _track_frames(drive, checkpoint, session)
     whole = _size(located)[0] == len(drive.inputs.files)
@@ -289,7 +290,7 @@ def paint(
         located.estimates,
         lambda estimate: files[estimate.index],
         products,
-        exports.datums(located.mapper),
+        exports.datums(located.georeferences),
         located.thumbnails,
     )
     # More frames would change the poses: a resumed run cannot use the tiles of this one.
@@ -310,8 +311,10 @@ def write(located: LocatedDrive, staging: Path, checkpoint: Checkpoint, session:
     if registered.floor_map is not None:
         sources = tuple(located.drive.sources)
         floor_map = replace(registered.floor_map, sources=sources, selection=options.selection)
-        floor_map = replace(floor_map, datums=tuple(exports.datums(located.mapper).items()))
+        floor_map = replace(floor_map, datums=tuple(exports.datums(located.georeferences).items()))
         save_map(staging / MAP_NAME, floor_map)
-    exports.write_exports(staging, options.export, registered, located.mapper)
+    exports.write_exports(
+        staging, options.export, registered, located.mapper.sensors, located.georeferences
+    )
     report.write_run(staging / "run.toml", located, session)
     move_folder(checkpoint.drawings, staging / _DRAWINGS)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import InputError
 from slamcli.core.records import PoseEstimate
+from slamcli.core.telemetry import Georeference
 from slamcli.io.map_file import map_path
 from slamcli.io.toml import Scalar
 from slamcli.mapping.mapper import Mapper
@@ -89,6 +90,8 @@ class LocatedDrive:
     self_calibration : SelfCalibration or None
     survey : SurveyFacts or None
         Of frames without a calibration that were located as a survey.
+    on_earth : dict of int to Georeference
+        Where a survey's maps lie, by the GPS of its photos.
     """
 
     drive: Drive
@@ -99,11 +102,17 @@ class LocatedDrive:
     time_offset: str
     self_calibration: SelfCalibration | None = None
     survey: SurveyFacts | None = None
+    on_earth: dict[int, Georeference] = field(default_factory=dict)
 
     @property
     def calibration(self) -> Calibration:
         """The camera that the poses are for."""
         return self.registered.calibration
+
+    @property
+    def georeferences(self) -> dict[int, Georeference]:
+        """Where on Earth each map lies, as far as it is known."""
+        return self.on_earth or self.mapper.georeferences
 
     @property
     def reached(self) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from slamcli.io.geojson import write_geojson
 from slamcli.io.toml import Scalar
 from slamcli.io.trajectories import write_kitti, write_tum
 from slamcli.mapping.backend.pose_graph import placed_fragments
-from slamcli.mapping.mapper import Mapper
+from slamcli.mapping.backend.sensors import Sensors
 from slamcli.selfcal import RegisteredDrive
 from slamcli.stages.geodesy import LocalPlane, project_map, projection
 
@@ -38,13 +38,17 @@ def check_exports(kinds: Sequence[str], files: Sequence[FrameFile], *, has_gps: 
 
 
 def write_exports(
-    folder: Path, kinds: Sequence[str], found: RegisteredDrive, mapper: Mapper
+    folder: Path,
+    kinds: Sequence[str],
+    found: RegisteredDrive,
+    sensors: Sensors,
+    georeferences: Mapping[int, Georeference],
 ) -> None:
     """Write the exports of these kinds, a file for each fragment, or one for all."""
     fragments = placed_fragments(found.estimates)
     off = found.switched_off
     links = [link for number, link in enumerate(found.links) if number not in off]
-    links += mapper.sensors.chain(found.estimates)
+    links += sensors.chain(found.estimates)
     for fragment, members in fragments.items():
         suffix = "" if fragment == 0 else f"_{fragment}"
         for kind in kinds:
@@ -54,16 +58,16 @@ def write_exports(
         write_links(folder / "links.csv", found.links, off)
     if "geojson" in kinds:
         tracks = {}
-        for fragment, on_earth in mapper.georeferences.items():
+        for fragment, on_earth in georeferences.items():
             poses = pose_array(list(_poses(fragments[fragment]).values()))
             places = on_earth.east_north_from_map.apply(poses[:, :2])
             tracks[fragment] = LocalPlane(on_earth.datum_degrees).geodetic(places)
         write_geojson(folder / "track.geojson", tracks)
 
 
-def datums(mapper: Mapper) -> dict[int, Datum]:
+def datums(georeferences: Mapping[int, Georeference]) -> dict[int, Datum]:
     """Return the origin on Earth of every fragment with enough GPS readings."""
-    return {fragment: _datum(found) for fragment, found in mapper.georeferences.items()}
+    return {fragment: _datum(found) for fragment, found in georeferences.items()}
 
 
 def _datum(found: Georeference) -> Datum:

@@ -60,7 +60,7 @@ def report(
 
 def _facts(located: LocatedDrive, painted: PaintedMaps) -> dict[str, object]:
     """Return what the closing table says, for a program."""
-    estimates, mapper = located.estimates, located.mapper
+    estimates = located.estimates
     facts: dict[str, object] = {
         **_counts(located),
         "unit": located.calibration.unit,
@@ -73,7 +73,7 @@ def _facts(located: LocatedDrive, painted: PaintedMaps) -> dict[str, object]:
         "unread": painted.unread,
         "georeferences": {
             fragment: exports.georeference_table(found)
-            for fragment, found in mapper.georeferences.items()
+            for fragment, found in located.georeferences.items()
         },
     }
     if located.self_calibration is not None:
@@ -95,6 +95,7 @@ def finished(located: LocatedDrive, painted: PaintedMaps, command: str) -> Finis
         given=drive.inputs.calibration,
         registered=located.registered,
         mapper=located.mapper,
+        georeferences=located.georeferences,
         painted=painted,
         self_calibration=located.self_calibration,
         survey=None if survey is None else survey.rows,
@@ -157,8 +158,8 @@ def _sensor_rows(located: LocatedDrive) -> list[tuple[str, str]]:
         compared = f"compared with {sensors.compared} frames, no contradiction"
         rows.append(("odometry", f"{sensors.odometry_readings} readings, {compared}"))
     rows += [("sensors", fault) for fault in sensors.faults]
-    rows += [("on Earth", exports.describe(found)) for found in mapper.georeferences.values()]
-    known = bool(mapper.georeferences or sensors.gps_fault)
+    rows += [("on Earth", exports.describe(found)) for found in located.georeferences.values()]
+    known = bool(located.georeferences or sensors.gps_fault)
     if sensors.datum_degrees is not None and not known:
         rows.append(("on Earth", "not known: the way is too short for the accuracy of the GPS"))
     return rows
@@ -166,11 +167,10 @@ def _sensor_rows(located: LocatedDrive) -> list[tuple[str, str]]:
 
 def write_run(path: Path, located: LocatedDrive, session: Session) -> None:
     """Write run.toml: inputs, camera, options, and the counts of the result."""
-    mapper = located.mapper
     sections = {"": _inputs_section(located), "camera": runs.camera_section(located.calibration)}
     sections |= _option_sections(located.drive, session)
     sections["counts"] = _counts(located)
-    for fragment, georeference in mapper.georeferences.items():
+    for fragment, georeference in located.georeferences.items():
         name = "georeference" if fragment == 0 else f"georeference_{fragment}"
         sections[name] = exports.georeference_table(georeference)
     if located.self_calibration is not None:

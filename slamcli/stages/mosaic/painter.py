@@ -214,7 +214,7 @@ class Painter:
 
     def _hull_of(self, calibration: Calibration) -> Float64Array:
         """Return the outline of the floor that a frame sees, which height and tilt change."""
-        return footprint_hull(calibration) if calibration.unit == "px" else self.hull
+        return footprint_hull(calibration) if calibration.is_top_down else self.hull
 
     def _part(self, key: TileKey, window: CellWindow) -> Grid:
         side = tiles.CELL_PIXELS

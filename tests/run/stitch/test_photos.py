@@ -1,0 +1,139 @@
+"""A drone's photos: a map in metres, on Earth, by what its camera noted."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command_line import slam
+from flights import FOCAL, SIZE, floor_picture, nadir_states, photographs
+from photo_files import exif_of, write_photo
+from trajectories import read_rows
+
+from slamcli.core.camera.calibration import Rocking
+from slamcli.core.geometry import Pose2
+from slamcli.stages.geodesy import LocalPlane
+from slamcli.survey.ground import below_camera, fit_ground
+
+METRES, HEADING, DATUM = 0.05, 0.7, (47.3, 8.5)
+EARTH_FROM_MAP = Pose2(12.0, -7.0, HEADING)
+# Focal length of a film camera with the field of view of the simulated one.
+FOCAL_35MM = FOCAL * math.hypot(36.0, 24.0) / math.hypot(*SIZE)
+GPS_METRES = 0.2
+
+
+def earth(points: np.ndarray) -> np.ndarray:
+    """Return metres east and north of points of the simulated floor."""
+    return EARTH_FROM_MAP.apply(METRES * np.asarray(points))
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
+    """Photos of a flight, one of them with a place far off, and the states of the camera."""
+    folder = tmp_path_factory.mktemp("flight") / "photos"
+    folder.mkdir()
+    generator = np.random.default_rng(1)
+    states = nadir_states(2, 3, generator)
+    plane = LocalPlane(DATUM)
+    for number, picture in enumerate(photographs(floor_picture(), states)):
+        x, y, heading, log_scale, pitch, roll = states[number]
+        height = FOCAL * (math.exp(log_scale) - 1.0)
+        below = below_camera(Pose2(x, y, heading), Rocking(pitch, roll, height), FOCAL)
+        place = earth([below])[0] + generator.normal(0.0, GPS_METRES, 2)
+        place += (60.0, 0.0) if number == 5 else (0.0, 0.0)
+        latitude, longitude = plane.geodetic([place])[0]
+        exif = exif_of(
+            time=f"2024:05:06 12:00:{number:02}",
+            place=(latitude, longitude, 400.0),
+            focal_35mm=round(FOCAL_35MM),
+        )
+        dji = {
+            "RelativeAltitude": f"{METRES * FOCAL * math.exp(log_scale):+.2f}",
+            "GimbalPitchDegree": "-90.0",
+            "RtkStdLat": f"{GPS_METRES}",
+            "RtkStdLon": f"{GPS_METRES}",
+        }
+        write_photo(folder / f"DJI_{number:04}.jpg", np.dstack([picture] * 3), exif, dji)
+    return folder, states
+
+
+def test_a_folder_of_a_drones_photos_is_a_map_on_earth(
+    flight: tuple[Path, np.ndarray], tmp_path: Path
+) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    folder, states = flight
+    result = slam("stitch", folder, "-o", tmp_path / "map", "--format", "png,geotiff")
+    assert result.exit_code == 0, result.output
+    assert "by the GPS of 5 of 6 photos" in result.output
+    run = tomllib.loads((tmp_path / "map" / "run.toml").read_text())
+    assert run["survey"]["metres_per_unit_by_height"] == pytest.approx(METRES, rel=0.03)
+    on_earth = run["georeference"]
+    assert on_earth["gps_outliers"] == 1
+    rows = read_rows(tmp_path / "map" / "poses.csv")
+    ours = np.array([[float(row["x"]), float(row["y"])] for row in rows])
+    heading = math.radians(on_earth["x_axis_degrees_from_east"])
+    datum = on_earth["datum_latitude_degrees"], on_earth["datum_longitude_degrees"]
+    place = Pose2(on_earth["origin_east_metres"], on_earth["origin_north_metres"], heading)
+    found = LocalPlane(DATUM).east_north
+    theirs = [found(*one) for one in LocalPlane(datum).geodetic(place.apply(ours))]
+    errors = np.linalg.norm(np.array(theirs) - earth(states[:, :2]), axis=1)
+    # The sigma of the GPS is 0.2 m, and five places agree on four numbers.
+    assert errors.max() < 0.3
+    with rasterio.open(tmp_path / "map" / "mosaic.tif") as raster:
+        assert raster.crs is not None
+        assert 0.01 <= math.hypot(raster.transform.a, raster.transform.d) < 0.08
+    again = slam("render", tmp_path / "map", "-o", tmp_path / "again")
+    assert again.exit_code == 0, again.output
+    pictures = [(tmp_path / name / "mosaic.png").read_bytes() for name in ("map", "again")]
+    assert pictures[0] == pictures[1]
+
+
+def test_heights_alone_give_the_scale(flight: tuple[Path, np.ndarray], tmp_path: Path) -> None:
+    folder, states = flight
+    (tmp_path / "photos").mkdir()
+    for number in range(4):
+        picture = cv2.imread(str(folder / f"DJI_{number:04}.jpg"))
+        height = METRES * FOCAL * math.exp(states[number, 3])
+        write_photo(
+            tmp_path / "photos" / f"{number}.jpg",
+            picture,
+            exif_of(focal_35mm=round(FOCAL_35MM)),
+            {"RelativeAltitude": f"{height:+.2f}"},
+        )
+    result = slam("stitch", tmp_path / "photos", "-o", tmp_path / "map", "--mount", "free")
+    assert result.exit_code == 0, result.output
+    assert "m a pixel by the heights of the photos" in result.output
+    rows = read_rows(tmp_path / "map" / "poses.csv")
+    ours = np.array([[float(row["x"]), float(row["y"])] for row in rows])
+    length = np.linalg.norm(np.diff(ours, axis=0), axis=1).sum()
+    truth = METRES * np.linalg.norm(np.diff(states[:4, :2], axis=0), axis=1).sum()
+    assert length == pytest.approx(truth, rel=0.03)
+
+
+def test_places_too_close_for_their_sigma_give_no_scale() -> None:
+    generator = np.random.default_rng(0)
+    points = generator.uniform(0.0, 200.0, (9, 2))
+    metres = 0.01 * points + generator.normal(0.0, 3.0, (9, 2))
+    assert fit_ground(points, metres, np.full(9, 3.0)) is None
+
+
+def test_the_sigmas_of_the_ground_are_those_of_its_errors() -> None:
+    """Of scale, heading and the place of the origin, over many draws of the places' errors."""
+    generator = np.random.default_rng(0)
+    ratios = []
+    for _ in range(200):
+        points = generator.uniform(100.0, 700.0, (20, 2))
+        metres = earth(points) + generator.normal(0.0, 1.0, (20, 2))
+        found = fit_ground(points, metres, np.full(20, 1.0))
+        assert found is not None
+        pose = found.east_north_from_map
+        error = np.array(
+            [pose.x - EARTH_FROM_MAP.x, pose.y - EARTH_FROM_MAP.y, pose.theta - HEADING]
+        )
+        scale = math.log(found.metres_per_unit / METRES) / found.scale_sigma_share
+        ratios.append([*(error / np.sqrt(np.diag(found.covariance))), scale])
+    assert np.sqrt(np.mean(np.square(ratios), axis=0)) == pytest.approx(np.ones(4), abs=0.2)
