@@ -53,8 +53,31 @@ class MapProjection:
         return math.atan2(self.projected_from_map[1, 0], self.projected_from_map[0, 0])
 
 
-def project_map(datum: Datum) -> MapProjection:
-    """Return where a map lies in the system of its zone.
+def check_crs(crs: str) -> None:
+    """Refuse a code that is of no projected system in metres; ``auto`` and nothing are none.
+
+    Raises
+    ------
+    InputError
+        Also when pyproj is not installed.
+    """
+    if crs in {"", "auto"}:
+        return
+    try:
+        from pyproj import CRS
+        from pyproj.exceptions import CRSError
+    except ImportError as error:
+        raise InputError("GPS needs pyproj: pip install slamcli[geo]") from error
+    try:
+        system = CRS.from_user_input(crs)
+    except CRSError as error:
+        raise InputError(f"--crs {crs} is not known to PROJ") from error
+    if not (system.is_projected and all(axis.unit_name == "metre" for axis in system.axis_info)):
+        raise InputError(f"--crs {crs} is no projected system in metres; auto is the UTM zone")
+
+
+def project_map(datum: Datum, crs: str = "auto") -> MapProjection:
+    """Return where a map lies in the system of its zone, or in one that is named by its code.
 
     Its scale and the convergence of the meridians are those at the map's origin: within 1 km the
     error is below 0.1 mm, as both planes are conformal.
@@ -62,17 +85,20 @@ def project_map(datum: Datum) -> MapProjection:
     Raises
     ------
     InputError
-        When pyproj is not installed.
+        When pyproj is not installed, or the map lies beyond the named system.
     """
     latitude, longitude = datum.latitude_degrees, datum.longitude_degrees
     turn = Pose2(0.0, 0.0, datum.east_heading_radians).matrix
-    if abs(latitude) > _MAX_UTM_DEGREES:
-        return MapProjection(projection((latitude, longitude)), turn)
-    zone = int((longitude + 180.0) % 360.0 // 6.0) + 1
-    crs = f"EPSG:{(32600 if latitude >= 0 else 32700) + zone}"
+    if crs in {"", "auto"}:
+        if abs(latitude) > _MAX_UTM_DEGREES:
+            return MapProjection(projection((latitude, longitude)), turn)
+        zone = int((longitude + 180.0) % 360.0 // 6.0) + 1
+        crs = f"EPSG:{(32600 if latitude >= 0 else 32700) + zone}"
     steps = np.array([(0.0, 0.0), (-_STEP_METRES, 0.0), (_STEP_METRES, 0.0)])
     origin, west, east = LocalPlane((latitude, longitude)).projected(steps, crs)
     x, y = (east - west) / (2.0 * _STEP_METRES)
+    if not np.isfinite([*origin, x, y]).all():
+        raise InputError(f"--crs {crs} does not reach {latitude:.4f}, {longitude:.4f}")
     there = np.array([[x, -y, origin[0]], [y, x, origin[1]], [0.0, 0.0, 1.0]])
     return MapProjection(crs, there @ turn)
 

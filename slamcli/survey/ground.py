@@ -15,9 +15,10 @@ import numpy as np
 from slamcli.core.arrays import BoolArray, Complex128Array, Float64Array
 from slamcli.core.camera.calibration import Rocking
 from slamcli.core.geometry import Pose2
+from slamcli.core.robust import RAYLEIGH_MEDIAN
 
 # A place is an outlier farther away than so many sigmas.
-_OUTLIER_SIGMAS = 3.0
+_OUTLIER_SIGMAS = 4.0
 _MIN_PLACES, _MIN_INLIER_SHARE = 3, 0.5
 # A scale that is known worse is none. [guarded by tests/run/stitch/test_photos.py]
 _MAX_SCALE_SIGMA_SHARE = 0.1
@@ -81,22 +82,24 @@ def fit_ground(
     if len(points) < _MIN_PLACES:
         return None
     z, w = points @ np.array([1.0, 1.0j]), east_north @ np.array([1.0, 1.0j])
-    inliers = _consensus(z, w, sigmas)
+    factor, shift = _consensus(z, w, sigmas)
+    # The map errs, too: what most places differ by is no outlier.
+    ratios = np.abs(factor * z + shift - w) / sigmas
+    sigmas = sigmas * max(1.0, float(np.median(ratios)) / RAYLEIGH_MEDIAN)
     for _ in range(_ROUNDS):
+        inliers = np.abs(factor * z + shift - w) <= _OUTLIER_SIGMAS * sigmas
         if inliers.sum() < max(_MIN_PLACES, _MIN_INLIER_SHARE * len(points)):
             return None
         factor, shift = _fit(z[inliers], w[inliers], sigmas[inliers])
-        again = np.abs(factor * z + shift - w) <= _OUTLIER_SIGMAS * sigmas
-        if (again == inliers).all():
-            break
-        inliers = again
     return _ground(z, sigmas, inliers, factor, shift)
 
 
-def _consensus(z: Complex128Array, w: Complex128Array, sigmas: Float64Array) -> BoolArray:
-    """Return the places that agree with the best similarity through two of them."""
+def _consensus(
+    z: Complex128Array, w: Complex128Array, sigmas: Float64Array
+) -> tuple[complex, complex]:
+    """Return the similarity through two places that the others agree with best."""
     pairs = sorted(combinations(range(len(z)), 2), key=lambda pair: -abs(z[pair[0]] - z[pair[1]]))
-    best, best_cost = np.zeros(len(z), np.bool_), np.inf
+    best, best_cost = (0j, 0j), np.inf
     for a, b in pairs[:_MAX_PAIRS]:
         if z[a] == z[b]:
             break
@@ -104,7 +107,7 @@ def _consensus(z: Complex128Array, w: Complex128Array, sigmas: Float64Array) -> 
         ratios = np.abs(factor * (z - z[a]) + w[a] - w) / sigmas
         cost = float(np.minimum(ratios, _OUTLIER_SIGMAS).sum())
         if cost < best_cost:
-            best, best_cost = ratios <= _OUTLIER_SIGMAS, cost
+            best, best_cost = (complex(factor), complex(w[a] - factor * z[a])), cost
     return best
 
 

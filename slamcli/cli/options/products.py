@@ -11,7 +11,7 @@ import click
 from slamcli.cli.options.common import metres_per_pixel
 from slamcli.cli.options.fields import option, stacked
 from slamcli.cli.options.sections import OUTPUT, PERFORMANCE, expert, section
-from slamcli.cli.options.values import Bytes, Degrees, Number, Numbers, Words
+from slamcli.cli.options.values import Bytes, CoordinateSystem, Degrees, Number, Numbers, Words
 from slamcli.core.bounds import LATITUDE_DEGREES, LONGITUDE_DEGREES, METRES_PER_PIXEL
 from slamcli.core.config import Datum, ProductOptions
 
@@ -96,6 +96,12 @@ _file_details = expert(
         "GeoTIFF: latitude,longitude of the map's origin and the heading of its x axis, "
         "counter-clockwise from east, in degrees.",
         callback=_datum,
+    ),
+    _product(
+        "crs",
+        "--crs",
+        CoordinateSystem(),
+        "Write a GeoTIFF in this coordinate system, of metres; auto is the UTM zone.",
     ),
 )
 

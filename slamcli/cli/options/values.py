@@ -191,6 +191,25 @@ class Gamma(Value):
         return str(value)
 
 
+class CoordinateSystem(Value):
+    """A coordinate system by its EPSG code, or auto."""
+
+    name = "auto|EPSG:n"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """Return the word, or the code; a usage error shows the form wanted."""
+        text = str(value).upper()
+        if text == "AUTO" or not value:
+            return text.lower()
+        if not re.fullmatch(r"EPSG:\d{3,6}", text):
+            self.fail(f"{quoted(value)} is neither auto nor a code such as EPSG:32632", param, ctx)
+        return text
+
+    def text(self, value: Any) -> str:
+        """Return the word, or the code."""
+        return str(value)
+
+
 class Bytes(Value):
     """An amount of memory, such as 500M or 2G."""
 

@@ -70,6 +70,9 @@ class ProductOptions:
     memory_bytes : int
         Of the whole process; pictures and canvases get what the poses leave of it.
     datum : Datum or None
+    crs : str
+        Coordinate system of the GeoTIFF, which it implies: ``EPSG:`` and a code, or ``auto`` for
+        the UTM zone, as without.
     """
 
     paint: PaintOptions = field(default_factory=PaintOptions)
@@ -81,3 +84,10 @@ class ProductOptions:
     crop: tuple[float, float, float, float] | None = None
     memory_bytes: int = 1_400_000_000
     datum: Datum | None = None
+    crs: str = ""
+
+    @property
+    def all_formats(self) -> tuple[MapFormat, ...]:
+        """The formats, with GeoTIFF where a coordinate system is given for it."""
+        more = self.crs and "geotiff" not in self.formats
+        return (*self.formats, "geotiff") if more else self.formats

@@ -83,7 +83,7 @@ def _write_geotiff(output: MapToWrite) -> None:
     transform = output.map_from_painted.matrix @ output.grid.metres_from_corner
     datum, crs = output.options.datum, None
     if datum is not None:
-        placed = project_map(datum)
+        placed = project_map(datum, output.options.crs)
         crs, transform = placed.crs, _axis_aligned(placed.projected_from_map @ transform)
 
     def write(

@@ -25,6 +25,7 @@ from slamcli.run.paint.paint import make_painter, paint_scene
 from slamcli.run.paint.scene import Scene
 from slamcli.run.session.session import Session
 from slamcli.stages.mosaic import tiles
+from slamcli.stages.geodesy import check_crs
 from slamcli.stages.mosaic.painter import Painter
 
 PRODUCTS = (
@@ -159,14 +160,15 @@ def check_products(options: ProductOptions, calibration: Calibration) -> None:
     """Raise InputError when a library is not there, or the camera has no such resolution."""
     if options.paint.metres_per_pixel is not None:
         check_metres_per_pixel(calibration, options.paint.metres_per_pixel, _MAX_VIEW_PIXELS)
-    if "geotiff" in options.formats:
+    if "geotiff" in options.all_formats:
         geotiff.check_geotiff()
+        check_crs(options.crs)
 
 
 def _write_map(output: MapToWrite, scene: Scene) -> Overview:
     """Write a map in every format, and the trajectory drawn over it; return its overview."""
     _check_png(output.grid, output.options)
-    for name in output.options.formats:
+    for name in output.options.all_formats:
         FORMATS[name](output)
     grid, factor, side = output.grid, 1, max(output.grid.width, output.grid.height)
     while side > 2 * _OVERVIEW_PIXELS * factor and factor < _MAX_OVERVIEW_FACTOR:

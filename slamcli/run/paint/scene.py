@@ -95,11 +95,11 @@ def scenes_of(
 
 def _turn(options: ProductOptions, datum: Datum | None) -> float:
     """Return the angle from the map's axes to those that it is painted in."""
-    on_earth = datum is not None and "geotiff" in options.formats
+    on_earth = datum is not None and "geotiff" in options.all_formats
     if options.turn_radians != 0.0 or not on_earth or "nav2" in options.formats:
         return options.turn_radians
     assert datum is not None
-    return project_map(datum).turn_radians
+    return project_map(datum, options.crs).turn_radians
 
 
 def _turned(estimate: PoseEstimate, painted_from_map: Pose2) -> PoseEstimate:

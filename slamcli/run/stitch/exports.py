@@ -76,14 +76,20 @@ def _datum(found: Georeference) -> Datum:
     return Datum(latitude, longitude, pose.theta)
 
 
-def georeference_table(found: Georeference) -> dict[str, Scalar]:
-    """Return a map's place on Earth as a table of run.toml: degrees and metres."""
+def georeference_table(found: Georeference, crs: str) -> dict[str, Scalar]:
+    """Return a map's place on Earth as a table of run.toml: degrees and metres.
+
+    Parameters
+    ----------
+    crs : str
+        The system that GeoTIFFs are written in; empty or ``auto`` for the UTM zone.
+    """
     pose, sigmas = found.east_north_from_map, np.sqrt(np.diag(found.covariance))
     return {
         "datum_latitude_degrees": found.datum_degrees[0],
         "datum_longitude_degrees": found.datum_degrees[1],
         "projection": projection(found.datum_degrees),
-        **_projected(found),
+        **_projected(found, crs),
         "origin_east_metres": pose.x,
         "origin_north_metres": pose.y,
         "x_axis_degrees_from_east": math.degrees(pose.theta),
@@ -97,9 +103,9 @@ def georeference_table(found: Georeference) -> dict[str, Scalar]:
     }
 
 
-def _projected(found: Georeference) -> dict[str, Scalar]:
+def _projected(found: Georeference, crs: str) -> dict[str, Scalar]:
     """Return the map's place in the system that GeoTIFFs are written in."""
-    placed = project_map(_datum(found))
+    placed = project_map(_datum(found), crs)
     east, north = placed.projected_from_map[:2, 2].tolist()
     return {
         "crs": placed.crs,

@@ -60,12 +60,12 @@ def on_earth(located: LocatedDrive) -> LocatedDrive:
     if not scales:
         return _with_row(located, _unknown(infos), {})
     first = next(iter(scales.values())).metres_per_unit
-    georeferences = {
-        fragment: _georeference(scale.ground, datum)
-        for fragment, scale in scales.items()
-        if scale.ground is not None and datum is not None
-    }
-    registered = _in_metres(located.registered, scales, first)
+    georeferences, turns = dict[int, Georeference](), dict[int, float]()
+    for fragment, scale in scales.items():
+        if scale.ground is not None and datum is not None:
+            turns[fragment] = scale.ground.east_north_from_map.theta
+            georeferences[fragment] = _georeference(scale.ground, datum, turns[fragment])
+    registered = _in_metres(_turned(located.registered, turns), scales, first)
     found = replace(located, registered=registered, on_earth=georeferences)
     return _with_row(found, *_described(scales, infos, located))
 
@@ -110,11 +110,26 @@ def _scale_by_height(
     return float(np.median(found)) if found else None
 
 
-def _georeference(ground: Ground, datum: tuple[float, float]) -> Georeference:
+def _georeference(ground: Ground, datum: tuple[float, float], turn: float) -> Georeference:
+    """Return the place of a map that was turned."""
     count, used = len(ground.inliers), int(ground.inliers.sum())
-    return Georeference(
-        datum, ground.east_north_from_map, ground.covariance, (0.0, 0.0), count, count - used
-    )
+    pose = ground.east_north_from_map
+    place = Pose2(pose.x, pose.y, pose.theta - turn)
+    return Georeference(datum, place, ground.covariance, (0.0, 0.0), count, count - used)
+
+
+def _turned(registered: RegisteredDrive, turns: Mapping[int, float]) -> RegisteredDrive:
+    """Return a survey whose maps are turned about their origins: x to the east."""
+    poses = {
+        one.index: Pose2(0.0, 0.0, turns[one.fragment]) @ one.map_from_robot
+        for one in registered.estimates
+        if one.fragment in turns and one.map_from_robot is not None
+    }
+    estimates = [
+        replace(one, map_from_robot=poses[one.index]) if one.index in poses else one
+        for one in registered.estimates
+    ]
+    return replace(registered, estimates=estimates)
 
 
 def _in_metres(

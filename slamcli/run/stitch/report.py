@@ -72,7 +72,7 @@ def _facts(located: LocatedDrive, painted: PaintedMaps) -> dict[str, object]:
         "vanished": located.vanished,
         "unread": painted.unread,
         "georeferences": {
-            fragment: exports.georeference_table(found)
+            fragment: exports.georeference_table(found, located.drive.options.products.crs)
             for fragment, found in located.georeferences.items()
         },
     }
@@ -172,7 +172,7 @@ def write_run(path: Path, located: LocatedDrive, session: Session) -> None:
     sections["counts"] = _counts(located)
     for fragment, georeference in located.georeferences.items():
         name = "georeference" if fragment == 0 else f"georeference_{fragment}"
-        sections[name] = exports.georeference_table(georeference)
+        sections[name] = exports.georeference_table(georeference, located.drive.options.products.crs)
     if located.self_calibration is not None:
         sections["self_calibration"] = run_section(located.self_calibration)
     if located.survey is not None:

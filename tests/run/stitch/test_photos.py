@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pyproj
 import pytest
 from command_line import slam
 from flights import FOCAL, SIZE, floor_picture, nadir_states, photographs
@@ -23,7 +24,7 @@ METRES, HEADING, DATUM = 0.05, 0.7, (47.3, 8.5)
 EARTH_FROM_MAP = Pose2(12.0, -7.0, HEADING)
 # Focal length of a film camera with the field of view of the simulated one.
 FOCAL_35MM = FOCAL * math.hypot(36.0, 24.0) / math.hypot(*SIZE)
-GPS_METRES = 0.2
+GPS_METRES = 0.1
 
 
 def earth(points: np.ndarray) -> np.ndarray:
@@ -66,7 +67,7 @@ def test_a_folder_of_a_drones_photos_is_a_map_on_earth(
 ) -> None:
     rasterio = pytest.importorskip("rasterio")
     folder, states = flight
-    result = slam("stitch", folder, "-o", tmp_path / "map", "--format", "png,geotiff")
+    result = slam("stitch", folder, "-o", tmp_path / "map", "--crs", "auto")
     assert result.exit_code == 0, result.output
     assert "by the GPS of 5 of 6 photos" in result.output
     run = tomllib.loads((tmp_path / "map" / "run.toml").read_text())
@@ -81,11 +82,23 @@ def test_a_folder_of_a_drones_photos_is_a_map_on_earth(
     found = LocalPlane(DATUM).east_north
     theirs = [found(*one) for one in LocalPlane(datum).geodetic(place.apply(ours))]
     errors = np.linalg.norm(np.array(theirs) - earth(states[:, :2]), axis=1)
-    # The sigma of the GPS is 0.2 m, and five places agree on four numbers.
+    # The sigma of the GPS is 0.1 m, and five places give four numbers.
     assert errors.max() < 0.3
+    # Of the map; the meridians of the grid converge there by a third of a degree.
+    assert on_earth["x_axis_degrees_from_east"] == pytest.approx(0.0, abs=1e-9)
+    assert on_earth["crs_x_axis_degrees_from_east"] == pytest.approx(0.37, abs=0.05)
     with rasterio.open(tmp_path / "map" / "mosaic.tif") as raster:
-        assert raster.crs is not None
-        assert 0.01 <= math.hypot(raster.transform.a, raster.transform.d) < 0.08
+        assert raster.crs.to_epsg() == 32632
+        assert (raster.transform.b, raster.transform.d) == (0.0, 0.0)
+        assert raster.overviews(1)
+        utm = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32632", always_xy=True)
+        for number, state in enumerate(states):
+            latitude, longitude = LocalPlane(DATUM).geodetic([earth(state[:2])])[0]
+            row, column = raster.index(*utm.transform(longitude, latitude))
+            x, y = ours[number]
+            world = (tmp_path / "map" / "mosaic.pgw").read_text().split()
+            place = (x - float(world[4])) / float(world[0]), (y - float(world[5])) / float(world[3])
+            assert np.hypot(column - place[0], row - place[1]) * float(world[0]) < 0.35
     again = slam("render", tmp_path / "map", "-o", tmp_path / "again")
     assert again.exit_code == 0, again.output
     pictures = [(tmp_path / name / "mosaic.png").read_bytes() for name in ("map", "again")]
