@@ -23,6 +23,7 @@ REFINING = {("calibrate", "--calibration"), ("calibrate", "--workers")}
 # These are of the command line itself: tests/cli/test_command.py has them.
 OF_THE_COMMAND_LINE = {"--config", "--help-all", "--verbose", "--quiet", "--log-file"}
 TEXTS = {
+    "--crs": "EPSG:25832",
     "--format": "geotiff",
     "--layers": "views",
     "--export": "tum",
