@@ -24,8 +24,8 @@ from slamcli.run.paint.map_to_write import MapToWrite
 from slamcli.run.paint.paint import make_painter, paint_scene
 from slamcli.run.paint.scene import Scene
 from slamcli.run.session.session import Session
-from slamcli.stages.mosaic import tiles
 from slamcli.stages.geodesy import check_crs
+from slamcli.stages.mosaic import tiles
 from slamcli.stages.mosaic.painter import Painter
 
 PRODUCTS = (

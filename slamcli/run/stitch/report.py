@@ -172,7 +172,9 @@ def write_run(path: Path, located: LocatedDrive, session: Session) -> None:
     sections["counts"] = _counts(located)
     for fragment, georeference in located.georeferences.items():
         name = "georeference" if fragment == 0 else f"georeference_{fragment}"
-        sections[name] = exports.georeference_table(georeference, located.drive.options.products.crs)
+        sections[name] = exports.georeference_table(
+            georeference, located.drive.options.products.crs
+        )
     if located.self_calibration is not None:
         sections["self_calibration"] = run_section(located.self_calibration)
     if located.survey is not None:

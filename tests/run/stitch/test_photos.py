@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 import pyproj
 import pytest
+import rasterio
+import rasterio.windows
 from command_line import slam
 from flights import FOCAL, SIZE, floor_picture, nadir_states, photographs
 from photo_files import exif_of, write_photo
@@ -65,7 +67,6 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
 def test_a_folder_of_a_drones_photos_is_a_map_on_earth(
     flight: tuple[Path, np.ndarray], tmp_path: Path
 ) -> None:
-    rasterio = pytest.importorskip("rasterio")
     folder, states = flight
     result = slam("stitch", folder, "-o", tmp_path / "map", "--crs", "auto")
     assert result.exit_code == 0, result.output
@@ -86,20 +87,32 @@ def test_a_folder_of_a_drones_photos_is_a_map_on_earth(
     assert errors.max() < 0.3
     # Of the map; the meridians of the grid converge there by a third of a degree.
     assert on_earth["x_axis_degrees_from_east"] == pytest.approx(0.0, abs=1e-9)
-    assert on_earth["crs_x_axis_degrees_from_east"] == pytest.approx(0.37, abs=0.05)
+    assert on_earth["crs_x_axis_degrees_from_east"] == pytest.approx(-0.37, abs=0.05)
     with rasterio.open(tmp_path / "map" / "mosaic.tif") as raster:
         assert raster.crs.to_epsg() == 32632
         assert (raster.transform.b, raster.transform.d) == (0.0, 0.0)
         assert raster.overviews(1)
         utm = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32632", always_xy=True)
+        turn = math.radians(on_earth["crs_x_axis_degrees_from_east"])
+        origin = on_earth["crs_origin_east_metres"], on_earth["crs_origin_north_metres"]
+        ours_in_grid = Pose2(*origin, turn).apply(ours)
         for number, state in enumerate(states):
             latitude, longitude = LocalPlane(DATUM).geodetic([earth(state[:2])])[0]
-            row, column = raster.index(*utm.transform(longitude, latitude))
+            true = utm.transform(longitude, latitude)
+            assert math.dist(true, ours_in_grid[number]) < 0.3
+            # What is shown there is the middle of that photo.
+            row, column = raster.index(*ours_in_grid[number])
+            window = rasterio.windows.Window(column - 8, row - 8, 17, 17)
+            shown = raster.read(1, window=window).astype(float)
+            assert raster.read(4, window=window).min() == 255
             x, y = ours[number]
-            world = (tmp_path / "map" / "mosaic.pgw").read_text().split()
-            place = (x - float(world[4])) / float(world[0]), (y - float(world[5])) / float(world[3])
-            assert np.hypot(column - place[0], row - place[1]) * float(world[0]) < 0.35
-    again = slam("render", tmp_path / "map", "-o", tmp_path / "again")
+            world = [float(v) for v in (tmp_path / "map" / "mosaic.pgw").read_text().split()]
+            step, skew = world[0], world[1]
+            turned = ((x - world[4]) - 1j * (y - world[5])) / (step - 1j * skew)
+            mosaic = cv2.imread(str(tmp_path / "map" / "mosaic.png"))[..., 2].astype(float)
+            top, left = round(turned.imag) - 8, round(turned.real) - 8
+            assert np.abs(mosaic[top : top + 17, left : left + 17] - shown).mean() < 20.0
+    again = slam("render", tmp_path / "map", "-o", tmp_path / "again", "--crs", "auto")
     assert again.exit_code == 0, again.output
     pictures = [(tmp_path / name / "mosaic.png").read_bytes() for name in ("map", "again")]
     assert pictures[0] == pictures[1]
