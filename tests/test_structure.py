@@ -39,6 +39,7 @@ ONE_ROOM = {
     "pyproj": ("stages/geodesy",),
     "simplejpeg": ("io/images/jpeg",),
     "rasterio": ("io/raster/geotiff",),
+    "matplotlib": ("drawing/errors",),
     "tqdm": ("cli/progress",),
     "click": ("cli",),
 }

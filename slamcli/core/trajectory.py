@@ -141,3 +141,30 @@ class Evaluation:
     unplaced: int
     whole: Accuracy
     fragments: tuple[Accuracy, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorSeries:
+    """The errors of one trajectory, pose by pose in the truth's order.
+
+    Attributes
+    ----------
+    name : str
+    fragments : (M,) int64
+    path_metres : (M,) float64
+        Length of the truth's path up to each pose.
+    aligned : (M, 2) float64
+        Positions in the truth's axes, metres, every fragment aligned for itself.
+    errors_metres, errors_degrees : (M,) float64
+        Of position and heading.
+    sigmas_metres : (M,) float64
+        One standard deviation of the position; nan where it is not known.
+    """
+
+    name: str
+    fragments: Int64Array
+    path_metres: Float64Array
+    aligned: Float64Array
+    errors_metres: Float64Array
+    errors_degrees: Float64Array
+    sigmas_metres: Float64Array

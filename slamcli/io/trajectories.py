@@ -17,6 +17,7 @@ from slamcli.core.trajectory import Trajectory
 from slamcli.io.csv_table import HEADINGS, STAMPS, Table, parse_table
 from slamcli.io.files import read_text, write_text
 
+_TRUTH_OF_FOLDER = "groundtruth.txt"
 _TUM_FIELDS, _KITTI_FIELDS = 8, 12
 _X, _Y = ("x", "px", "tx"), ("y", "py", "ty")
 _NAMES = ("frame", "name", "file", "filename")
@@ -37,13 +38,16 @@ def read_trajectory(path: Path) -> Trajectory:
     - TUM: eight numbers a line, stamp, x, y, z, and a quaternion x, y, z, w.
     - KITTI: twelve numbers a line, the upper three rows of a pose's matrix.
 
-    In TUM and KITTI files z must point up from the floor.
+    A folder stands for the ground truth that the sequences of TUM's benchmarks have in it. In TUM
+    and KITTI files z must point up from the floor.
 
     Raises
     ------
     InputError
         One line that names the file, and the line of it where there is one.
     """
+    if path.is_dir():
+        path = path / _TRUTH_OF_FOLDER
     text = read_text(path, "poses").removeprefix("\ufeff")
     lines = [
         (number, line)

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from slamcli.core.errors import InputError
-from slamcli.core.trajectory import Accuracy, Evaluation, Statistics
+from slamcli.core.trajectory import Accuracy, Evaluation, Statistics, Trajectory
+from slamcli.drawing.errors import SUFFIXES, check_plots, plot_errors
+from slamcli.io.error_table import TABLES, table_rows
+from slamcli.io.files import write_bytes, write_text
+from slamcli.io.outputs import refuse_existing
 from slamcli.io.trajectories import read_trajectory
+from slamcli.stages.evaluation import error_series
 from slamcli.stages.evaluation import evaluate as evaluate_poses
 
 
@@ -28,22 +34,84 @@ class EvaluateReport:
     json: str
 
 
-def evaluate(poses: Path, truth: Path, *, tolerance_seconds: float, delta: int) -> EvaluateReport:
-    """Compare a file of poses with a file of true ones, each in any format that can be read.
+@dataclass(frozen=True, slots=True)
+class EvaluateOptions:
+    """How trajectories are compared, and what is written.
+
+    Attributes
+    ----------
+    tolerance_seconds : float
+        Largest difference of the stamps of two poses that are compared.
+    delta : int
+        Poses over which the relative error is measured.
+    plot : Path or None
+        A figure (.pdf, .svg or .png).
+    table : Path or None
+        A table (.csv, or .tex for LaTeX).
+    overwrite : bool
+        Replace earlier ones.
+    """
+
+    tolerance_seconds: float = 0.01
+    delta: int = 1
+    plot: Path | None = None
+    table: Path | None = None
+    overwrite: bool = False
+
+
+def evaluate(poses: Sequence[Path], truth: Path, options: EvaluateOptions) -> EvaluateReport:
+    """Compare files of poses with a file of true ones, each in any format that can be read.
 
     Raises
     ------
-    InputError
+    InputError, OutputError
     """
-    estimate, true = read_trajectory(poses), read_trajectory(truth)
-    for path, trajectory in ((poses, estimate), (truth, true)):
-        if not len(trajectory):
-            raise InputError(f"{path} has no frame with a pose")
-    found = evaluate_poses(estimate, true, tolerance_seconds=tolerance_seconds, delta=delta)
-    return EvaluateReport(
-        tuple(_lines(found)),
-        json.dumps(_without_nan(asdict(found)), indent=2, ensure_ascii=False),
-    )
+    _check_outputs([*poses, truth], options)
+    true = _read(truth)
+    estimates = {str(path): _read(path) for path in poses}
+    found = {
+        name: evaluate_poses(
+            estimate, true, tolerance_seconds=options.tolerance_seconds, delta=options.delta
+        )
+        for name, estimate in estimates.items()
+    }
+    if options.plot is not None:
+        series = [
+            error_series(name, estimate, true, options.tolerance_seconds)
+            for name, estimate in estimates.items()
+        ]
+        suffix = options.plot.suffix.lower()
+        write_bytes(options.plot, plot_errors(series, true.poses[:, :2], suffix))
+    if options.table is not None:
+        write = TABLES[options.table.suffix.lower()]
+        write_text(options.table, write(table_rows(found)))
+    lines, data = list[str](), {name: _without_nan(asdict(one)) for name, one in found.items()}
+    for name, one in found.items():
+        lines += [*([name] if len(found) > 1 else []), *_lines(one)]
+    lines += [f"wrote {path}" for path in (options.plot, options.table) if path is not None]
+    whole = data if len(data) > 1 else next(iter(data.values()))
+    return EvaluateReport(tuple(lines), json.dumps(whole, indent=2, ensure_ascii=False))
+
+
+def _check_outputs(inputs: Sequence[Path], options: EvaluateOptions) -> None:
+    """Refuse, before the work, what could not be written after it."""
+    for path, suffixes in ((options.plot, SUFFIXES), (options.table, tuple(TABLES))):
+        if path is None:
+            continue
+        if path.suffix.lower() not in suffixes:
+            raise InputError(
+                f"cannot write {path}: give a name that ends in {' or '.join(suffixes)}"
+            )
+        refuse_existing(path, inputs=inputs, overwrite=options.overwrite)
+    if options.plot is not None:
+        check_plots()
+
+
+def _read(path: Path) -> Trajectory:
+    trajectory = read_trajectory(path)
+    if not len(trajectory):
+        raise InputError(f"{path} has no frame with a pose")
+    return trajectory
 
 
 def _lines(found: Evaluation) -> list[str]:

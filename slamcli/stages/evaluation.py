@@ -15,8 +15,16 @@ from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import compose_poses, relative_poses
 from slamcli.core.robust import fit_rigid_2d
-from slamcli.core.trajectory import Accuracy, Consistency, Evaluation, Statistics, Trajectory
+from slamcli.core.trajectory import (
+    Accuracy,
+    Consistency,
+    ErrorSeries,
+    Evaluation,
+    Statistics,
+    Trajectory,
+)
 
+_MIN_ALIGNED = 2
 _BOUND_95 = float(chdtri(3, 0.05))
 
 
@@ -54,6 +62,40 @@ def evaluate(
         _accuracy(None, parts, delta),
         tuple(_accuracy(part.fragment, [part], delta) for part in parts),
     )
+
+
+def error_series(
+    name: str, estimate: Trajectory, truth: Trajectory, tolerance_seconds: float
+) -> ErrorSeries:
+    """Return the errors along the truth's path; fragments of one pose have none.
+
+    Raises
+    ------
+    InputError
+        As `evaluate`.
+    """
+    _, ours, theirs = match_poses(estimate, truth, tolerance_seconds)
+    order = np.argsort(theirs, kind="stable")
+    ours, theirs = ours[order], theirs[order]
+    steps = np.linalg.norm(np.diff(truth.poses[:, :2], axis=0, prepend=truth.poses[:1, :2]), axis=1)
+    along, numbers = np.cumsum(steps)[theirs], estimate.fragments[ours]
+    aligned = np.full((len(ours), 2), np.nan)
+    errors, turns = np.full(len(ours), np.nan), np.full(len(ours), np.nan)
+    for fragment in np.unique(numbers):
+        chosen = numbers == fragment
+        part = _Errors(
+            int(fragment), estimate.poses[ours[chosen]], truth.poses[theirs[chosen]], None, 1
+        )
+        if part.count >= _MIN_ALIGNED:
+            aligned[chosen], errors[chosen], turns[chosen] = (
+                part.aligned,
+                part.places,
+                part.headings,
+            )
+    sigmas = np.full(len(ours), np.nan)
+    if estimate.sigmas is not None:
+        sigmas = np.hypot(*estimate.sigmas[ours, :2].T)
+    return ErrorSeries(name, numbers, along, aligned, errors, turns, sigmas)
 
 
 def match_poses(
@@ -104,8 +146,12 @@ class _Errors:
         self.truth_from_map = fit_rigid_2d(true_poses[:, :2], poses[:, :2])
         pose = self.truth_from_map
         aligned = compose_poses((pose.x, pose.y, pose.theta), poses)
+        self.aligned = aligned[:, :2]
         self.places = np.linalg.norm(aligned[:, :2] - true_poses[:, :2], axis=1)
         self.headings = np.degrees(np.abs(relative_poses(true_poses, aligned)[:, 2]))
+        if self.count < _MIN_ALIGNED:
+            # An alignment by one pose has no error left, whatever that pose is.
+            self.places = self.headings = np.empty(0)
         motions = relative_poses(poses[:-delta:delta], poses[delta::delta])
         true_motions = relative_poses(true_poses[:-delta:delta], true_poses[delta::delta])
         differences = relative_poses(true_motions, motions)

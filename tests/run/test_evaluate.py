@@ -278,3 +278,79 @@ def test_words_tell_each_fragment_and_the_whole(samples_folder: Path, tmp_path: 
     same = run(samples_folder / "course" / "truth.csv", samples_folder / "course" / "truth.csv")
     assert "fragment" not in same.output
     assert "NEES" not in same.output
+
+
+def test_one_matched_pair_is_no_error_of_zero(tmp_path: Path) -> None:
+    """An alignment by one pose would make any pose right."""
+    (tmp_path / "poses.csv").write_text("frame,x,y,heading\na,5,7,1\nb,,,\n")
+    (tmp_path / "truth.csv").write_text("frame,x,y,heading\na,0,0,0\nb,1,0,0\n")
+    result = run(tmp_path / "poses.csv", tmp_path / "truth.csv")
+    assert result.exit_code == 0
+    assert "ATE           too few poses" in result.output
+    found = json.loads(run(tmp_path / "poses.csv", tmp_path / "truth.csv", "--json").output)
+    assert found["whole"]["absolute"]["rmse"] is None
+
+
+def test_several_are_compared_with_one_truth_as_text_table_and_plot(
+    samples_folder: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("matplotlib")
+    truth = samples_folder / "course" / "truth.csv"
+    lines = truth.read_text().splitlines()
+    shifted = [line.split(",") for line in lines[1:]]
+    for number, row in enumerate(shifted):
+        row[3] = str(float(row[3]) + (0.003 if number % 2 else -0.003))
+    rows = [",".join([*row, "0.002", "0.002", "0.01"]) for row in shifted]
+    header = lines[0] + ",sigma_x,sigma_y,sigma_heading"
+    (tmp_path / "a_b.csv").write_text("\n".join([header, *rows]))
+    outputs = []
+    for suffix in ("pdf", "svg", "png", "pdf"):
+        arguments = (truth, tmp_path / "a_b.csv", "--truth", truth, "--overwrite")
+        plot, table = tmp_path / f"out.{suffix}", tmp_path / "out.tex"
+        result = run(*arguments, "--plot", plot, "--table", table)
+        assert result.exit_code == 0, result.output
+        outputs.append(plot.read_bytes())
+    assert outputs[0].startswith(b"%PDF")
+    assert outputs[0] == outputs[3]
+    assert outputs[2].startswith(b"\x89PNG")
+    latex = (tmp_path / "out.tex").read_text()
+    assert r"a\_b.csv & 40 & 0 & 3.117 & " in latex
+    assert run(truth, tmp_path / "a_b.csv", "--truth", truth, "--table", tmp_path / "t.csv")
+    table = (tmp_path / "t.csv").read_text().splitlines()
+    # 3 mm to and fro are an error of 3 mm, which the alignment cannot take away.
+    assert float(table[2].split(",")[4]) == pytest.approx(3.0, rel=0.02)
+    assert float(table[1].split(",")[4]) == 0.0
+    data = json.loads(run(truth, tmp_path / "a_b.csv", "--truth", truth, "--json").output)
+    assert len(data) == 2
+
+
+def test_errors_lie_along_the_truths_path_in_its_order() -> None:
+    poses = np.array([(2.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.004, 0.0), (9.0, 9.0, 0.0)])
+    truth = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0), (2.0, 5.0, 0.0)])
+    sigmas = np.full((4, 3), 0.003)
+    estimate = Trajectory(poses, None, ("c", "a", "b", "d"), np.array([0, 0, 0, 1]), sigmas)
+    true = Trajectory(truth, None, ("a", "b", "c", "d"), np.zeros(4, np.int64), None)
+    found = evaluation.error_series("x", estimate, true, 0.01)
+    np.testing.assert_allclose(found.path_metres, [0.0, 1.0, 2.0, 7.0])
+    assert found.errors_metres[:3].max() == pytest.approx(0.004 * 2 / 3, rel=0.01)
+    assert np.isnan(found.errors_metres[3])
+    np.testing.assert_allclose(found.sigmas_metres, np.sqrt(2) * 0.003)
+
+
+def test_a_folder_of_tum_stands_for_its_ground_truth(tmp_path: Path) -> None:
+    (tmp_path / "groundtruth.txt").write_text("# ground truth\n0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n")
+    (tmp_path / "poses.txt").write_text("0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n")
+    result = run(tmp_path / "poses.txt", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert "2 poses of 2 true ones" in result.output
+
+
+def test_what_cannot_be_written_is_refused_first(samples_folder: Path, tmp_path: Path) -> None:
+    truth = samples_folder / "course" / "truth.csv"
+    result = run(truth, truth, "--plot", tmp_path / "out.gif")
+    assert result.exit_code == 1
+    assert "give a name that ends in .pdf or .svg or .png" in result.output
+    (tmp_path / "t.csv").write_text("")
+    result = run(truth, truth, "--table", tmp_path / "t.csv")
+    assert result.exit_code == 1
+    assert "--overwrite" in result.output
