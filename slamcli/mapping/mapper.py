@@ -27,7 +27,7 @@ from slamcli.core.telemetry import (
     TelemetryOptions,
 )
 from slamcli.mapping import camera_tilt
-from slamcli.mapping.backend.backend import MIN_EXTENT_SHARE, Backend
+from slamcli.mapping.backend.backend import Backend
 from slamcli.mapping.backend.calibration_error import with_calibration_error
 from slamcli.mapping.backend.pose_graph import lost
 from slamcli.mapping.backend.sensors import Sensors
@@ -67,8 +67,7 @@ class Mapper:
         self.calibration = calibration
         self.options = options or MapperOptions()
         self._preprocessor = Preprocessor(calibration, self.options)
-        least = MIN_EXTENT_SHARE * calibration.max_range_metres
-        self._backend = Backend(Sensors(telemetry), min_extent_metres=least)
+        self._backend = Backend(Sensors(telemetry), calibration.max_range_metres)
         self._graph = self._backend.graph
         self._database = KeyframeDatabase(self.grid, self.options.matching.seed)
         relocalizer = Relocalizer(calibration, self.options, self._database)

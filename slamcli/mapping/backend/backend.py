@@ -9,7 +9,8 @@ import numpy as np
 
 from slamcli.core.geometry import Pose2, wrap_angle
 from slamcli.core.records import Link, PoseEstimate, PreparedFrame
-from slamcli.mapping.backend.optimizer import BatchOptimizer, InitialPoses
+from slamcli.mapping.backend.contradictions import links_to_leave_out
+from slamcli.mapping.backend.optimizer import CONTRADICTED, BatchOptimizer, InitialPoses
 from slamcli.mapping.backend.pose_graph import PoseGraph, lost, most_certain, tracked
 from slamcli.mapping.backend.sensors import Sensors
 from slamcli.mapping.backend.smoother import FixedLagSmoother
@@ -21,10 +22,13 @@ _SAME_POSE_COVARIANCE = np.diag([1e-12, 1e-12, 1e-12])
 # A later fragment of a smaller extent than this share of the camera's range, and of less turn, did
 # not move: what its frames show moved with the camera, as a hand before the lens does
 # [benchmarks/kidnap.py: hand].
-MIN_EXTENT_SHARE = 0.03
+_MIN_EXTENT_SHARE = 0.03
 _MIN_TURN_RADIANS = 0.1
 # Links that two pictures determine in all directions.
 _BY_PICTURE = ("step", "loop")
+# Links that differ from the map by less, as a share of the camera's range, do not contradict it so
+# that parts of it are left out [guarded by benchmarks/robustness.py: rocking].
+_MIN_CONTRADICTION_SHARE = 0.01
 
 
 class Backend:
@@ -34,8 +38,8 @@ class Backend:
     ----------
     sensors : Sensors or None
         Readings of odometry, compass and GPS; None for none.
-    min_extent_metres : float
-        Of a fragment after the first, to be kept.
+    range_metres : float
+        How far the camera sees.
 
     Attributes
     ----------
@@ -44,8 +48,8 @@ class Backend:
     sensors : Sensors
     """
 
-    def __init__(self, sensors: Sensors | None = None, min_extent_metres: float = 0.0) -> None:
-        self._min_extent_metres = min_extent_metres
+    def __init__(self, sensors: Sensors | None = None, range_metres: float = 0.0) -> None:
+        self._range_metres = range_metres
         self.graph = PoseGraph()
         self.sensors = sensors or Sensors()
         self._smoother = FixedLagSmoother(self.sensors)
@@ -171,14 +175,27 @@ class Backend:
         loops : sequence of Link
             Added first.
         """
+        self.graph.add_links(loops)
+        left_out: frozenset[int] = frozenset()
+        while True:
+            self._solve_without(left_out)
+            more = self._contradicted() - left_out
+            if not more:
+                break
+            left_out |= more
+        self.graph.switched_off |= left_out
+
+    def _solve_without(self, left_out: frozenset[int]) -> None:
+        """Optimise all components of the graph without some of its links, given by index."""
         graph = self.graph
-        graph.add_links(loops)
-        optimizer = BatchOptimizer(graph.estimates, graph.links, self.sensors)
+        optimizer = BatchOptimizer(graph.estimates, graph.links, self.sensors, left_out)
         components = optimizer.components()
         connected = [component for component in components if len(component) > 1] or components[:1]
+        ends = {end for n in left_out for end in (graph.links[n].a, graph.links[n].b)}
         for component in components:
             if component not in connected:
-                self._lose(component, "overlaps no other frame")
+                alone = "overlaps no other frame" if ends.isdisjoint(component) else CONTRADICTED
+                self._lose(component, alone)
         connected = optimizer.merge_by_gps(connected)
         for component in connected[1:]:
             if not self._moves(component):
@@ -192,13 +209,22 @@ class Backend:
         if connected:
             self._smoother.on_whole_solution(graph)
 
+    def _contradicted(self) -> frozenset[int]:
+        """Return the links without which the solved graph is to be solved again."""
+        graph = self.graph
+        placed = [e for e in graph.estimates if e.map_from_robot is not None]
+        return links_to_leave_out(
+            graph, self.sensors.chain(placed), _MIN_CONTRADICTION_SHARE * self._range_metres
+        )
+
     def _moves(self, component: InitialPoses) -> bool:
         """Return whether the frames of a component lie farther apart than a standing camera's."""
         poses = list(component.values())
         places = np.array([(pose.x, pose.y) for pose in poses])
         turns = [abs(wrap_angle(pose.theta - poses[0].theta)) for pose in poses]
         extent_metres = float(np.ptp(places, axis=0).max())
-        return extent_metres >= self._min_extent_metres or max(turns) >= _MIN_TURN_RADIANS
+        least_metres = _MIN_EXTENT_SHARE * self._range_metres
+        return extent_metres >= least_metres or max(turns) >= _MIN_TURN_RADIANS
 
     def _lose(self, component: InitialPoses, reason: str) -> None:
         for index in component:

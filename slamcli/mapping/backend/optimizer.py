@@ -30,6 +30,8 @@ _MAX_OUTLIER_SHARE = 0.5
 _RANK_OF_KIND = {"step": 0, "odometry": 1}
 # Links that do not place a frame by what it shows: odometry has a share in both.
 _NOT_BY_PICTURE = ("odometry", "partial")
+# Why a frame that was placed by its picture no longer is.
+CONTRADICTED = "its links contradict one another, or one link alone is too uncertain"
 
 InitialPoses = dict[int, Pose2]
 
@@ -64,13 +66,20 @@ class BatchOptimizer:
         One for every frame, sorted by index.
     links : sequence of Link
     sensors : Sensors
+    left_out : collection of int
+        Indices of links that are not used.
     """
 
     def __init__(
-        self, estimates: Sequence[PoseEstimate], links: Sequence[Link], sensors: Sensors
+        self,
+        estimates: Sequence[PoseEstimate],
+        links: Sequence[Link],
+        sensors: Sensors,
+        left_out: Collection[int] = frozenset(),
     ) -> None:
         self._estimates = {estimate.index: estimate for estimate in estimates}
         self._links = links
+        self._used = [n for n in range(len(links)) if n not in left_out]
         self._sensors = sensors
 
     def components(self) -> list[InitialPoses]:
@@ -83,7 +92,8 @@ class BatchOptimizer:
         placed = {index for index, e in estimates.items() if e.map_from_robot is not None}
         known = placed.union(*((link.a, link.b) for link in chain))
         components = []
-        for group in posegraph.components(sorted(known), [*self._links, *chain]):
+        links = [link for link in self._used_links() if {link.a, link.b} <= known]
+        for group in posegraph.components(sorted(known), [*links, *chain]):
             first = next((index for index in group if index in placed), None)
             if first is not None:
                 components.append(
@@ -106,7 +116,9 @@ class BatchOptimizer:
         prior : SensorOffsets or None
             The offsets by the readings of earlier solutions.
         """
-        used = [n for n, link in enumerate(self._links) if link.a in initial]
+        used = [
+            n for n in self._used if self._links[n].a in initial and self._links[n].b in initial
+        ]
         frames = [
             replace(self._estimates[index], map_from_robot=initial[index], fragment=0)
             for index in sorted(initial)
@@ -133,14 +145,20 @@ class BatchOptimizer:
         """Solve one component, its first frame at the origin, as a numbered fragment."""
         optimized = self.optimize(initial)
         solution = optimized.solution
-        used = (self._links[n] for n in set(optimized.links) - optimized.switched_off)
-        by_picture = {
-            end for link in used if link.kind not in _NOT_BY_PICTURE for end in (link.a, link.b)
+        scores = self._scores_by_picture(optimized)
+        doubted = {
+            end
+            for n in set(range(len(self._links))) - (set(optimized.links) - optimized.switched_off)
+            for end in (self._links[n].a, self._links[n].b)
         }
         estimates = []
         for index in sorted(initial):
             known = self._estimates[index]
-            tracked = known.status == "tracked" or index in by_picture
+            was_tracked = known.status == "tracked"
+            tracked = index in scores or (was_tracked and index not in doubted)
+            reason = known.reason
+            if tracked != was_tracked:
+                reason = "" if tracked else CONTRADICTED
             estimates.append(
                 replace(
                     known,
@@ -148,7 +166,8 @@ class BatchOptimizer:
                     covariance=solution.covariances[index],
                     fragment=fragment,
                     status="tracked" if tracked else "predicted",
-                    reason="" if tracked and known.status != "tracked" else known.reason,
+                    reason=reason,
+                    score=scores.get(index, known.score) if index in doubted else known.score,
                 )
             )
         return GraphUpdate(
@@ -159,6 +178,19 @@ class BatchOptimizer:
             solution.offsets,
             optimized.georeference,
         )
+
+    def _scores_by_picture(self, optimized: OptimizedComponent) -> dict[int, float]:
+        """Return the highest score of the links that place each frame by what it shows."""
+        scores: dict[int, float] = {}
+        for n in set(optimized.links) - optimized.switched_off:
+            link = self._links[n]
+            if link.kind not in _NOT_BY_PICTURE:
+                for end in (link.a, link.b):
+                    scores[end] = max(scores.get(end, 0.0), link.score)
+        return scores
+
+    def _used_links(self) -> list[Link]:
+        return [self._links[n] for n in self._used]
 
     def merge_by_gps(self, components: list[InitialPoses]) -> list[InitialPoses]:
         """Return the components, those merged into one whose georeferences are certain enough."""
@@ -205,7 +237,7 @@ class BatchOptimizer:
         Along steps where possible, else odometry, else loops.
         """
         members = set(group)
-        links = [link for link in [*self._links, *chain] if {link.a, link.b} <= members]
+        links = [link for link in [*self._used_links(), *chain] if {link.a, link.b} <= members]
         links.sort(key=lambda link: _RANK_OF_KIND.get(link.kind, len(_RANK_OF_KIND)))
         neighbours: dict[int, list[tuple[int, Pose2]]] = {index: [] for index in group}
         for link in posegraph.spanning(group, links):

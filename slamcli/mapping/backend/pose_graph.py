@@ -54,6 +54,11 @@ class PoseGraphReader(Protocol):
         """All links, in the order of insertion."""
         ...
 
+    @property
+    def switched_off(self) -> frozenset[int]:
+        """Indices of the links that the others contradict, as of the latest solution."""
+        ...
+
     def __getitem__(self, index: int) -> PoseEstimate:
         """Return a frame's estimate."""
         ...
