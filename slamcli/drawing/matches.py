@@ -67,7 +67,10 @@ def draw_matches(
         (inliers, _INLIER_COLOUR, 2),
     ):
         _draw_lines(canvas, starts[chosen], ends[chosen], colour, thickness)
-    return np.vstack([_text(header, width), canvas])
+    legend = "green: inliers; red: other matches; some of each"
+    if second_from_first is not None:
+        legend += "; yellow: outline of the first picture on the second"
+    return np.vstack([_text([*header, legend], width), canvas])
 
 
 def _overlaid(first: UInt8Array, second: UInt8Array, second_from_first: Float64Array) -> UInt8Array:
