@@ -27,6 +27,12 @@ from slamcli.registration.hypothesis import (
 )
 from slamcli.stages import dense
 
+# Sigma up to which a refined motion replaces the features', as a share of the camera's range: twice
+# what is accepted of a searched motion. A tilt that varies much makes the motion look less certain
+# than it is, and the features' own is then off by millimetres
+# [benchmarks/robustness.py: rocking on asphalt, RPE 0.12 mm, and 1.9 mm at half of it].
+_MAX_SIGMA_SHARE = 0.015
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem:
@@ -261,7 +267,7 @@ def _refine_unmasked(
 
 def _is_determined(fit: MotionHypothesis, other: Float64Array, problem: _Problem) -> bool:
     """Return whether a motion is known well enough in every direction, or as well as another."""
-    limit = (problem.options.max_sigma_share * problem.calibration.max_range_metres) ** 2
+    limit = (_MAX_SIGMA_SHARE * problem.calibration.max_range_metres) ** 2
     return fit.max_variance <= max(limit, max_variance(other))
 
 

@@ -168,7 +168,7 @@ def test_a_steady_fit_wins_by_evidence_alone(scripted: Scripted) -> None:
 def test_a_steady_fit_that_is_open_is_kept_only_where_its_start_is_as_open(
     scripted: Scripted,
 ) -> None:
-    limit = OPTIONS.max_sigma_share * CALIBRATION.max_range_metres
+    limit = 0.015 * CALIBRATION.max_range_metres
     start = replace(unsteady(), evidence=10.0)
     for sigma, kept in ((0.99 * limit, True), (1.01 * limit, False)):
         fit = replace(unsteady(sigmas=(0.001, sigma, 0.001)), evidence=100.0)
