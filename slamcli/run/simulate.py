@@ -50,6 +50,8 @@ _SQUARE_NOISE_GRAY = 2.0
 # Numbers of the random streams that a seed splits into.
 _SENSORS, _BOXES, _SQUARE, _FRAMES, _WALKERS = range(5)
 _WALL_METRES_PER_PIXEL = 0.002
+# Those of 4K: the rays of a picture take some hundred bytes a pixel.
+_MAX_PIXELS = 3840 * 2160
 
 
 def simulate(
@@ -73,7 +75,10 @@ def simulate(
     """
     if layout is not None:
         options = _laid_out(options, layout)
+    _check_size(options.camera.size)
     calibration = photograph.make_camera(options.camera)
+    # Before the drive's own photographer: each has the rays of a whole picture.
+    square = _photograph_square(calibration, options)
     poses = _poses(options)
     # The course's floor is laid around its board, not around the first frame's robot.
     world_from_map = COURSE_START if options.floor == "course" else Pose2()
@@ -84,7 +89,6 @@ def simulate(
         options.imaging,
         options.seed,
     )
-    square = _photograph_square(calibration, options)
     count = len(poses) - 1
     names = [f"{index:04d}.jpg" for index in range(count)]
     stamps = [index / options.frame_rate_hertz for index in range(count)]
@@ -111,6 +115,15 @@ def simulate(
         "files": PRODUCTS,
     }
     return Report((line,), facts)
+
+
+def _check_size(size: tuple[int, int]) -> None:
+    """Raise InputError when a picture's rays would not fit into memory."""
+    if size[0] * size[1] > _MAX_PIXELS:
+        raise InputError(
+            f"frames of {size[0]}x{size[1]} pixels are too large to be simulated; at most "
+            f"{_MAX_PIXELS / 1e6:g} million pixels"
+        )
 
 
 def _laid_out(options: SimulationOptions, layout: Path) -> SimulationOptions:

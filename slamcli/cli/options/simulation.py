@@ -36,7 +36,9 @@ _camera = partial(option, SimulationOptions().camera)
 _surface = partial(option, SimulationOptions().surface)
 _imaging = partial(option, SimulationOptions().imaging)
 _disturbance = partial(option, SimulationOptions().disturbances)
-_NUMBER = Whole(Bounds(0, 10_000, whole=True))
+# More, or larger ones, take minutes or gigabytes before the first frame.
+# [guarded by tests/robustness/boundaries.py]
+_NUMBER = Whole(Bounds(0, 1_000, whole=True))
 
 _floor = section(
     ESSENTIAL,
@@ -65,7 +67,7 @@ _floor_details = expert(
     _surface(
         "tile_metres",
         "--tile",
-        Number(Bounds(0.01, 1e3)),
+        Number(Bounds(0.01, 10)),
         "Metres: side of a tile (tiles, carpet-tiles), joint to joint; of 20 squares of paper.",
     ),
     _surface(
@@ -207,7 +209,7 @@ disturbance_options = expert(
     _disturbance(
         "bounce_metres",
         "--bounce",
-        Number(Bounds(0, 10)),
+        Number(Bounds(0, 1)),
         "Metres: standard deviation of the camera's height from frame to frame.",
     ),
     _disturbance(

@@ -25,14 +25,16 @@ class Tile(NamedTuple):
         Of the picture.
     rays : (RAYS_DOWN h, RAYS_ACROSS w, 2) float32
         Undistorted pixels of its rays.
-    half_rays : (RAYS_DOWN h / 2, RAYS_ACROSS w, 2) float32
-        The means of each two rays above each other.
     """
 
     rows: slice
     columns: slice
     rays: Float32Array
-    half_rays: Float32Array
+
+    @property
+    def half_rays(self) -> Float32Array:
+        """(RAYS_DOWN h / 2, RAYS_ACROSS w, 2) float32: means of each two rays above each other."""
+        return 0.5 * (self.rays[0::2] + self.rays[1::2])
 
     @property
     def size(self) -> tuple[int, int]:
@@ -51,11 +53,11 @@ class Tile(NamedTuple):
         if height < _MIN_SPLIT_ROWS:
             return ()
         middle = self.rows.start + height // 2
-        cut, half_cut = (height // 2) * RAYS_DOWN, (height // 2) * RAYS_DOWN // 2
+        cut = (height // 2) * RAYS_DOWN
         upper, lower = slice(self.rows.start, middle), slice(middle, self.rows.stop)
         return (
-            Tile(upper, self.columns, self.rays[:cut], self.half_rays[:half_cut]),
-            Tile(lower, self.columns, self.rays[cut:], self.half_rays[half_cut:]),
+            Tile(upper, self.columns, self.rays[:cut]),
+            Tile(lower, self.columns, self.rays[cut:]),
         )
 
 
@@ -64,21 +66,18 @@ def make_tiles(calibration: Calibration) -> list[Tile]:
     width, height = calibration.image_size
     columns = (np.arange(width * RAYS_ACROSS) + 0.5) / RAYS_ACROSS - 0.5
     rows = (np.arange(height * RAYS_DOWN) + 0.5) / RAYS_DOWN - 0.5
-    x, y = (a.astype(np.float32) for a in np.meshgrid(columns, rows))
-    if np.any(calibration.distortion):
-        x, y = undistorted_coordinates(calibration, x, y)
     tiles = []
     for top in range(0, height, _TILE_PIXELS):
+        rows_of = slice(top, min(top + _TILE_PIXELS, height))
+        # Of one row of tiles at a time: of a whole picture they would take as much as all tiles do.
+        of_row = rows[rows_of.start * RAYS_DOWN : rows_of.stop * RAYS_DOWN]
+        x, y = (a.astype(np.float32) for a in np.meshgrid(columns, of_row))
+        if np.any(calibration.distortion):
+            x, y = undistorted_coordinates(calibration, x, y)
         for left in range(0, width, _TILE_PIXELS):
-            rows_of = slice(top, min(top + _TILE_PIXELS, height))
             columns_of = slice(left, min(left + _TILE_PIXELS, width))
-            place = (
-                slice(rows_of.start * RAYS_DOWN, rows_of.stop * RAYS_DOWN),
-                slice(columns_of.start * RAYS_ACROSS, columns_of.stop * RAYS_ACROSS),
-            )
-            rays = np.dstack([x[place], y[place]])
-            half_rays = 0.5 * (rays[0::2] + rays[1::2])
-            tiles.append(Tile(rows_of, columns_of, rays, half_rays))
+            place = slice(columns_of.start * RAYS_ACROSS, columns_of.stop * RAYS_ACROSS)
+            tiles.append(Tile(rows_of, columns_of, np.dstack([x[:, place], y[:, place]])))
     return tiles
 
 
