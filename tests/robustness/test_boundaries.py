@@ -16,7 +16,7 @@ pytest.importorskip("av")
 @pytest.mark.parametrize("match", ["stitch --metres", "gps.csv latitude, line 2", "--side="])
 def test_extreme_values_end_clean_or_with_a_reason(tmp_path: Path, match: str) -> None:
     script = Path(__file__).with_name("boundaries.py")
-    words = [sys.executable, str(script), str(tmp_path), "--match", match]
+    words = [sys.executable, str(script), str(tmp_path), f"--match={match}"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "| 0 | 0 | 0 | 0 |" in done.stdout
