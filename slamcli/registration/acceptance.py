@@ -146,12 +146,19 @@ def _check_correlation(
     if backed or beside_features:
         enough = _min_confirmed(backed=backed)
     # Either may be nan, which is not enough.
-    if fit.agreement.correlation >= options.min_score or fit.agreement.confirmed >= enough:
+    if fit.agreement.correlation >= options.min_correlation or fit.agreement.confirmed >= enough:
         return ""
     return (
         f"the pixels disagree with the fit: correlation {fit.agreement.correlation:.2f}; "
-        f"at least {options.min_score:.2f} is needed"
+        f"at least {options.min_correlation:.2f} is needed"
     )
+
+
+def check_score(score: float, options: MapperOptions) -> str:
+    """Return why a motion is not accepted that is likely to be wrong."""
+    if score >= options.min_score:
+        return ""
+    return f"the score is {score:.2f}; at least {options.min_score:.2f} is needed"
 
 
 def _min_confirmed(*, backed: bool) -> float:

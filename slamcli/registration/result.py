@@ -12,6 +12,9 @@ from slamcli.registration import confidence
 from slamcli.registration.hypothesis import MotionHypothesis
 from slamcli.stages import dense
 
+# How the reason begins wherever another motion fits as well.
+AMBIGUOUS = "ambiguous"
+
 Outcome = Literal["accepted", "partial", "rejected", "inconclusive"]
 
 
@@ -31,6 +34,11 @@ class Verdict:
 
     outcome: Outcome
     reason: str = ""
+
+    @property
+    def is_ambiguous(self) -> bool:
+        """Whether another motion remains that fits as well."""
+        return self.reason.startswith(AMBIGUOUS)
 
     @classmethod
     def of(cls, rejection: str) -> Verdict:
@@ -55,8 +63,8 @@ class RegistrationResult:
         The motion, if it was accepted.
     fit : MotionHypothesis or None
         The motion that explains the frames best, accepted or not.
-    evidence : (K,) float64 or None
-        For that and against it, in the order of `confidence.EVIDENCE`; None without one.
+    evidence : (K + 1,) float64 or None
+        For that and against it: see `confidence.evidence`; None without one.
     reason : str
         Why there is no link; empty when there is one.
     rival : float

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2, wrap_angle
@@ -250,13 +251,12 @@ class PairContext:
         """
         link = partial = evidence = None
         if fit is not None:
-            pair = PyramidPair(self.keyframe.levels, self.prepared.levels)
-            range_metres = self.calibration.max_range_metres
-            evidence = confidence.evidence(
-                fit, self.alignment, rival, self.searched_metres, range_metres, pair
-            )
+            evidence = self._evidence(fit, verdict, rival)
             inliers = self.alignment.inlier_count if math.isnan(rival) else 0
             score = confidence.score(evidence)
+            if verdict.outcome in ("accepted", "partial"):
+                rejection = acceptance.check_score(score, self.options)
+                verdict = Verdict.of(rejection) if rejection else verdict
             frames = self.keyframe.index, self.prepared.index
             if verdict.outcome == "accepted":
                 link = Link(*frames, fit.pose, fit.covariance, inliers, score, "step")
@@ -275,3 +275,16 @@ class PairContext:
             search,
             partial,
         )
+
+    def _evidence(self, fit: MotionHypothesis, verdict: Verdict, rival: float) -> Float64Array:
+        """Return the evidence about a motion, after the verdict on it."""
+        ambiguous = verdict.is_ambiguous
+        decision = confidence.Decision(
+            rival,
+            self.searched_metres,
+            ambiguous or rival > self.options.max_rival_evidence,
+            verdict.outcome in ("rejected", "inconclusive") and not ambiguous,
+        )
+        pair = PyramidPair(self.keyframe.levels, self.prepared.levels)
+        range_metres = self.calibration.max_range_metres
+        return confidence.evidence(fit, self.alignment, pair, range_metres, decision)

@@ -89,7 +89,7 @@ def test_a_file_by_hand_gives_options_and_the_command_line_overrides_them(
     ("text", "message"),
     [
         ("min-scor = 0.4", "'min-scor' is no option of slam stitch; min-score is one"),
-        ("min-score = 4", "4 is not a number from -1 to 1"),
+        ("min-score = 4", "4 is not a number from 0 to 1"),
         ("crop = [0, 1]", "is not of the form"),
         ("min-score = ", "is no TOML file"),
     ],

@@ -147,11 +147,11 @@ def test_the_stricter_ratio_in_the_help_is_that_of_the_work() -> None:
 def test_filled_fills_nested_dataclasses_and_leaves_the_rest() -> None:
     start = MapperOptions(max_step_metres=2.0)
     flags = {
-        destination(start, "min_score"): 0.5,
+        destination(start, "min_score"): 0.6,
         destination("FeatureOptions", "count"): 7,
         destination("Other", "loops"): False,
     }
-    expected = replace(start, min_score=0.5, features=replace(start.features, count=7))
+    expected = replace(start, min_score=0.6, features=replace(start.features, count=7))
     assert filled(start, flags) == expected
     with pytest.raises(AttributeError):
         option(start, "max_stride", "--max-step")

@@ -24,21 +24,54 @@ def evidence_of(
     rival: float = math.nan,
     searched_metres: float = 0.0,
 ) -> dict[str, float]:
-    found = confidence.evidence(fit, alignment, rival, searched_metres, 2.0, PAIR)
-    return dict(zip(confidence.EVIDENCE, found.tolist(), strict=True))
+    decision = confidence.Decision(rival, searched_metres)
+    found = confidence.evidence(fit, alignment, PAIR, 2.0, decision)
+    return dict(zip(confidence.EVIDENCE, found[:-1].tolist(), strict=True))
 
 
 def test_every_piece_of_evidence_has_a_weight_of_the_right_sign() -> None:
     weights = dict(zip(confidence.EVIDENCE, confidence.WEIGHTS, strict=True))
-    against = {"constant", "inliers that disagree", "rival", "searched far and wide"}
+    against = {
+        "constant",
+        "inliers that disagree",
+        "rival",
+        "searched far and wide",
+        "not accepted",
+    }
     assert {name for name, weight in weights.items() if weight < 0.0} == against
 
 
 def test_the_score_is_the_logistic_of_the_weighted_evidence() -> None:
-    nothing = np.zeros(len(confidence.EVIDENCE))
+    nothing = np.zeros(len(confidence.EVIDENCE) + 1)
     assert confidence.score(nothing) == 0.5
-    nothing[5] = 1.0
-    assert confidence.score(nothing) == pytest.approx(1.0 / (1.0 + math.exp(-5.10)))
+    nothing[1] = 1.0
+    expected = 1.0 / (1.0 + math.exp(-confidence.WEIGHTS[1]))
+    assert confidence.score(nothing) == pytest.approx(expected)
+
+
+def test_a_rival_that_is_left_takes_half_of_the_probability() -> None:
+    fit, alignment = fit_of(HERE, correlation=0.99, confirmed=1.0), alignment_of(1000, HERE)
+    scores = [
+        confidence.score(
+            confidence.evidence(fit, alignment, PAIR, 2.0, confidence.Decision(0.1, 0.0, left))
+        )
+        for left in (False, True)
+    ]
+    assert scores[0] > 0.99
+    assert scores[1] == pytest.approx(scores[0] / 2.0)
+
+
+def test_a_motion_that_was_refused_scores_less() -> None:
+    fit, alignment = fit_of(HERE, correlation=0.6, confirmed=0.5), alignment_of(30, HERE)
+    scores = [
+        confidence.score(
+            confidence.evidence(
+                fit, alignment, PAIR, 2.0, confidence.Decision(0.5, 0.3, False, refused)
+            )
+        )
+        for refused in (False, True)
+    ]
+    assert scores[1] < scores[0]
 
 
 @pytest.mark.parametrize(
@@ -94,6 +127,9 @@ def test_sharpness_is_the_logarithm_of_the_widest_sigma(sigma: float, sharpness:
     assert found["sharpness"] == pytest.approx(sharpness)
 
 
-def test_the_overlap_counts_up_to_all_of_the_view() -> None:
-    assert evidence_of(fit_of(HERE, overlap=0.4))["overlap"] == 0.4
-    assert evidence_of(fit_of(HERE, overlap=1.2))["overlap"] == 1.0
+def test_inliers_count_as_a_share_of_all_matches_too() -> None:
+    share = "share of the matches that agree"
+    alignment = alignment_of(1000, HERE)
+    expected = alignment.inlier_count / len(alignment.matches)
+    assert evidence_of(fit_of(HERE), alignment)[share] == pytest.approx(expected)
+    assert evidence_of(fit_of(HERE), alignment_of(1000))[share] == 0.0

@@ -52,6 +52,12 @@ _mapping = expert(
     _mapper(
         "min_score",
         "--min-score",
+        SHARE,
+        "Smallest score of a motion, the probability that it is right, for it to be accepted.",
+    ),
+    _mapper(
+        "min_correlation",
+        "--min-correlation",
         Number(Bounds(-1, 1)),
         "Smallest correlation of the overlap's pixels for a fit to be accepted.",
     ),

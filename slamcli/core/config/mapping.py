@@ -27,6 +27,8 @@ class MapperOptions:
         Largest turn between two frames that are compared: floors with lines and squares look the
         same again after a quarter or half turn.
     min_score : float
+        Smallest probability that a motion is right for it to be accepted, in [0, 1].
+    min_correlation : float
         Smallest correlation of the overlap's pixels for a fit to be accepted, in [-1, 1].
     tilt_sigma_degrees : float
         Standard deviation of the camera's pitch from frame to frame.
@@ -64,7 +66,8 @@ class MapperOptions:
     keyframe_overlap: float = 0.7
     min_overlap: float = 0.1
     max_turn_degrees: float = 75.0
-    min_score: float = 0.3
+    min_score: float = 0.5
+    min_correlation: float = 0.3
     tilt_sigma_degrees: float = 0.1
     refine: bool = True
     dense: bool = True
