@@ -4,7 +4,8 @@ Run: make bench, or python benchmarks/peers.py [--frames N ...] [--size WxH] [--
 FOLDER | --folder FRAMES --calibration YAML] [--peers NAME ...] [--limit SECONDS] [--json FILE]. A
 drive is what `slam simulate` has written and kept, of which the first N frames are taken; its truth
 gives the fidelity. The peers cannot make bird's-eye views, so they are given them, by `slam warp`;
-making those does not count. Each runs in a process of its own: wall and processor time and peak
+making those does not count. Each runs in a process of its own, for --limit seconds and in 12 GB at
+most, so that three tools end within a quarter of an hour: wall and processor time and peak
 memory are the whole process's. Fidelity is measured on the floor that the result shows, after the
 best similarity onto the true floor (SIFT, RANSAC), for the peers' maps have no scale: peak signal
 to noise ratio after one gain, structural similarity (Wang et al., IEEE Trans. Image Processing
@@ -40,6 +41,8 @@ SLAM = (sys.executable, "-m", "slamcli")
 COURSE_START = Pose2(-0.45, -0.45, 0.0)
 TRUTH_METRES_PER_PIXEL = 0.002
 VIEW_METRES_PER_PIXEL = 0.002
+# Of address space, for each tool: of 100 frames the `stitching` package takes all that there is.
+MAX_BYTES = 12 * 2**30
 
 OPENCV = """
 import sys, cv2
@@ -80,7 +83,7 @@ class Outcome:
 
 def run(tool: str, command: list[str], frames: int, limit: float) -> tuple[Outcome, str]:
     """Run a tool to its end, or to the limit; return what it took, and what it printed."""
-    measured = [sys.executable, "-c", _MEASURE, str(limit), *command]
+    measured = [sys.executable, "-c", _MEASURE, str(limit), str(MAX_BYTES), *command]
     done = subprocess.run(measured, capture_output=True, text=True)
     wall, processor, peak, code = done.stdout.strip().splitlines()[-1].split()
     remark = "" if code == "0" else (done.stderr.strip().splitlines() or [f"exit {code}"])[-1][:70]
@@ -93,8 +96,10 @@ def run(tool: str, command: list[str], frames: int, limit: float) -> tuple[Outco
 _MEASURE = """
 import resource, subprocess, sys, time
 started = time.perf_counter()
+most = int(sys.argv[2])
+resource.setrlimit(resource.RLIMIT_AS, (most, most))
 try:
-    code = subprocess.call(sys.argv[2:], timeout=float(sys.argv[1]))
+    code = subprocess.call(sys.argv[3:], timeout=float(sys.argv[1]))
 except subprocess.TimeoutExpired:
     code = 1
 used = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -271,7 +276,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--calibration", type=Path)
     parser.add_argument("--peers", nargs="*", default=list(PEERS), choices=list(PEERS))
-    parser.add_argument("--limit", type=float, default=1800.0)
+    parser.add_argument("--limit", type=float, default=360.0)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} processors")
