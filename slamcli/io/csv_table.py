@@ -5,7 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +20,23 @@ from slamcli.core.errors import InputError
 # Endings of the name of a column of angles in degrees.
 _DEGREES = ("_degrees", "_deg")
 HEADINGS = ("heading", "theta", "yaw")
-STAMPS = ("stamp", "timestamp", "time", "t", "seconds")
+# As loggers call them: rostopic, PlotJuggler, phones' sensor loggers, autopilots.
+STAMPS = (
+    *("stamp", "header.stamp", "timestamp", "time", "t", "seconds", "unix_time", "epoch"),
+    *("datetime", "date_time", "utc", "utc_time", "time_utc", "gps_time", "seconds_elapsed"),
+    *("elapsed", "%time"),
+)
+# What separates the fields; where it is no comma, a comma may be the decimal point.
+_DELIMITERS = ",;\t"
+# Units in brackets in the name of a column, as endings of it; metres, seconds, radians need none.
+_UNITS = {"deg": "_deg", "degrees": "_deg", "°": "_deg", "µs": "_us"}
+_PLAIN_UNITS = frozenset({"m", "s", "sec", "rad"})
+_UNIT = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+_SECONDS = {"": None, "_s": 1, "_sec": 1, "_ms": 10**3, "_us": 10**6, "_ns": 10**9}
+# From these on a number counts parts of a second since 1970: as seconds it would be past 5000.
+# As exact as it is written; exponents would make numbers of any length.
+_DECIMAL = re.compile(r"[-+]?\d{1,30}(?:\.\d{0,30})?")
+_PARTS = ((10**17, 10**9), (10**14, 10**6), (10**11, 10**3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +53,15 @@ class Table:
         Each as long as the header.
     lines : tuple of int
         Of the file, one a row.
+    decimal_comma : bool
+        Whether a comma in a number is its decimal point.
     """
 
     path: Path
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     lines: tuple[int, ...]
+    decimal_comma: bool = False
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -73,7 +95,7 @@ class Table:
             if blank and word.lower() in {"", "nan"}:
                 continue
             try:
-                values[index] = float(word)
+                values[index] = float(self._plain(word))
             except ValueError:
                 values[index] = math.nan
             if float(values[index]) not in limits:
@@ -82,6 +104,37 @@ class Table:
                     f"{limits} is needed"
                 )
         return values
+
+    def stamps(self, limits: Bounds, *, blank: bool = False) -> Float64Array | None:
+        """Return the stamps as (N,) float64 seconds; None without a column of them.
+
+        Numbers are of the unit that the column's name ends in, else by their size seconds, or
+        milliseconds, microseconds or nanoseconds since 1970; texts are times of ISO 8601, in UTC
+        unless they say otherwise.
+        """
+        names = {name + ending: unit for ending, unit in _SECONDS.items() for name in STAMPS}
+        found = next((name for name in names if name in self.header), None)
+        if found is None:
+            return None
+        seconds = [_seconds(self._plain(word)) for word in self.words((found,))]
+        known = [abs(value) for value in seconds if value is not None]
+        unit = names[found]
+        if unit is None:
+            middle = sorted(known)[len(known) // 2] if known else 0
+            unit = next((parts for least, parts in _PARTS if middle >= least), 1)
+        values = np.array([math.nan if s is None else float(s / unit) for s in seconds])
+        for index, word in enumerate(self.words((found,))):
+            empty = blank and word.lower() in {"", "nan"}
+            if not empty and float(values[index]) not in limits:
+                raise InputError(
+                    f"{self.path}, line {self.lines[index]}: {found} is {quoted(word)}; "
+                    f"{limits} is needed, or a time such as 2024-05-06T12:00:00Z"
+                )
+        return values
+
+    def _plain(self, word: str) -> str:
+        """Return a number with a decimal point."""
+        return word.replace(",", ".") if self.decimal_comma and word.count(",") == 1 else word
 
     def angles(
         self, names: tuple[str, ...], limits: Bounds = ANGLE, *, blank: bool = False
@@ -99,8 +152,14 @@ class Table:
 
 
 def parse_table(path: Path, text: str) -> Table:
-    """Return the rows of a CSV text whose first line is the header; empty lines are left out."""
-    reader = csv.reader(io.StringIO(text.removeprefix("\ufeff")))
+    """Return the rows of a CSV text whose first line is the header; empty lines are left out.
+
+    Fields are separated by what the header has most of: commas, semicolons or tabs.
+    """
+    text = text.removeprefix("\ufeff")
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    delimiter = max(_DELIMITERS, key=first.count)
+    reader = csv.reader(io.StringIO(text), delimiter=delimiter)
     header: tuple[str, ...] = ()
     rows, lines = [], []
     try:
@@ -108,7 +167,7 @@ def parse_table(path: Path, text: str) -> Table:
             if not any(word.strip() for word in words):
                 continue
             if not header:
-                header = tuple(word.strip().lower() for word in words)
+                header = tuple(_column_name(word) for word in words)
                 continue
             if len(words) > len(header):
                 raise InputError(
@@ -119,4 +178,31 @@ def parse_table(path: Path, text: str) -> Table:
             lines.append(reader.line_num)
     except csv.Error as error:
         raise InputError(f"{path}, line {reader.line_num}: not a CSV: {error}") from error
-    return Table(path, header, tuple(rows), tuple(lines))
+    return Table(path, header, tuple(rows), tuple(lines), delimiter != ",")
+
+
+def _column_name(word: str) -> str:
+    """Return a name in lower case, without ROS's prefix, and its unit as the names here have it."""
+    name = word.strip().lower().removeprefix("field.")
+    match = _UNIT.search(name)
+    if match is not None and match.start() > 0:
+        unit = match[1]
+        ending = "" if unit in _PLAIN_UNITS else _UNITS.get(unit, f"_{unit}")
+        name = name[: match.start()] + ending
+    return name.replace(" ", "_")
+
+
+def _seconds(word: str) -> Fraction | None:
+    """Return a number as it stands, or the seconds since 1970 of a time; None for what is none."""
+    if _DECIMAL.fullmatch(word):
+        return Fraction(word)
+    try:
+        return Fraction(float(word))
+    except (ValueError, OverflowError):  # nan and infinity among them
+        pass
+    try:
+        moment = datetime.fromisoformat(word)
+        moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+        return Fraction(moment.timestamp())
+    except (ValueError, OverflowError):
+        return None

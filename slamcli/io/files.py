@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import errno
 import os
 import tempfile
@@ -142,11 +143,14 @@ def read_text(path: Path, what: str) -> str:
         if not reason and path.stat().st_size > _MAX_TEXT_BYTES:
             reason = f"it has more than {_MAX_TEXT_BYTES >> 20} MB"
         if not reason:
-            return path.read_text(encoding="utf-8")
+            data = path.read_bytes()
+            wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+            text = data.decode("utf-16" if wide else "utf-8")
+            return text.replace("\r\n", "\n").replace("\r", "\n")
     except OSError as error:
         reason = error.strerror or str(error)
     except UnicodeDecodeError:
-        reason = "it is not UTF-8 text"
+        reason = "it is not UTF-8 text, nor UTF-16 with its mark"
     except ValueError:
         reason = "its name is not one of a file"
     raise InputError(f"cannot read the {what} {path}: {reason}")

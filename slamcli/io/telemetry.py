@@ -39,13 +39,21 @@ from slamcli.io.containers.bag_readings import (
 )
 from slamcli.io.csv_table import HEADINGS, STAMPS, Table, parse_table
 from slamcli.io.files import read_text, write_text
+from slamcli.io.gps_tracks import is_track, read_track
 from slamcli.io.trajectories import read_trajectory
 
 # Clockwise from north, as a hand-held compass reads.
 _BEARINGS = ("bearing", "azimuth")
-_LATITUDES, _LONGITUDES = ("latitude", "lat"), ("longitude", "lon", "lng", "long")
+_LATITUDES = ("latitude", "lat", "latitude_deg", "lat_deg", "gps_lat", "gps_latitude")
+_LONGITUDES = (
+    *("longitude", "lon", "lng", "long", "longitude_deg", "lon_deg", "gps_lon", "gps_long"),
+    "gps_longitude",
+)
 _COMPASS_SIGMAS = ("sigma", "sigma_heading", "sigma_yaw")
-_GPS_SIGMAS = ("sigma", "sigma_metres", "accuracy", "horizontal_accuracy")
+_GPS_SIGMAS = (
+    *("sigma", "sigma_metres", "accuracy", "horizontal_accuracy", "horizontalaccuracy"),
+    *("h_acc", "hacc"),
+)
 
 
 def write_truth(
@@ -125,7 +133,7 @@ def read_compass(path: Path) -> list[CompassReading]:
     if has_readings(path):
         return read_bag_compass(path)
     table = _read(path, "compass readings")
-    stamps = table.numbers(STAMPS, STAMP)
+    stamps = _stamps(table)
     if table.has_angles(_BEARINGS) and not table.has_angles(HEADINGS):
         headings = math.pi / 2 - table.angles(_BEARINGS)
     else:
@@ -155,8 +163,11 @@ def read_gps(path: Path) -> list[GpsReading]:
     """
     if has_readings(path):
         return read_bag_gps(path)
-    table = _read(path, "GPS readings")
-    stamps = table.numbers(STAMPS, STAMP)
+    text = read_text(path, "GPS readings")
+    if is_track(text):
+        return read_track(path, text)
+    table = _parsed(path, "GPS readings", text)
+    stamps = _stamps(table)
     latitudes = table.numbers(_LATITUDES, LATITUDE_DEGREES)
     longitudes = table.numbers(_LONGITUDES, LONGITUDE_DEGREES)
     sigmas = np.full(len(table), GPS_SIGMA_METRES)
@@ -173,8 +184,17 @@ def read_gps(path: Path) -> list[GpsReading]:
     return readings
 
 
+def _stamps(table: Table) -> Float64Array:
+    stamps = table.stamps(STAMP)
+    return table.numbers(STAMPS, STAMP) if stamps is None else stamps
+
+
 def _read(path: Path, what: str) -> Table:
-    table = parse_table(path, read_text(path, what))
+    return _parsed(path, what, read_text(path, what))
+
+
+def _parsed(path: Path, what: str, text: str) -> Table:
+    table = parse_table(path, text)
     if not len(table):
         raise InputError(f"{path} has no {what}")
     return table

@@ -14,16 +14,29 @@ from slamcli.core.bounds import COORDINATE, SIGMA_METRES, STAMP, Bounds
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import Pose2
 from slamcli.core.trajectory import Trajectory
-from slamcli.io.csv_table import HEADINGS, STAMPS, Table, parse_table
+from slamcli.io.csv_table import HEADINGS, Table, parse_table
 from slamcli.io.files import read_text, write_text
 
 _TRUTH_OF_FOLDER = "groundtruth.txt"
 _TUM_FIELDS, _KITTI_FIELDS = 8, 12
-_X, _Y = ("x", "px", "tx"), ("y", "py", "ty")
+_X = ("x", "px", "tx", "pos_x", "position_x", "position.x", "pose.pose.position.x")
+_Y = ("y", "py", "ty", "pos_y", "position_y", "position.y", "pose.pose.position.y")
+# Of a quaternion, each by the names of several loggers.
+_QUATERNION = tuple(
+    (
+        f"q{axis}",
+        f"q_{axis}",
+        f"orientation_{axis}",
+        f"orientation.{axis}",
+        f"pose.pose.orientation.{axis}",
+    )
+    for axis in "xyzw"
+)
 _NAMES = ("frame", "name", "file", "filename")
 _SIGMAS = (("sigma_x",), ("sigma_y",), ("sigma_heading", "sigma_theta", "sigma_yaw"))
 # A robot on a floor leans less than this; more means that z does not point up.
 _MAX_LEAN_DEGREES = 15.0
+_UNIT = Bounds(-1.001, 1.001)
 _FRAGMENT = Bounds(-1, 2**31)
 # Of positions and of headings; a pose that is equal to another by definition has none.
 _SIGMA = Bounds(0.0, SIGMA_METRES.high)
@@ -86,7 +99,7 @@ def _is_number(word: str) -> bool:
 def _from_table(table: Table) -> Trajectory:
     x = table.numbers(_X, COORDINATE, blank=True)
     y = table.numbers(_Y, COORDINATE, blank=True)
-    heading = table.angles(HEADINGS, blank=True)
+    heading = _headings(table)
     placed = ~np.isnan(x)
     broken = placed & (np.isnan(y) | np.isnan(heading))
     if broken.any():
@@ -110,11 +123,17 @@ def _from_table(table: Table) -> Trajectory:
     )
 
 
+def _headings(table: Table) -> Float64Array:
+    """Return the headings, radians; those of quaternions where there is no column of headings."""
+    if table.has_angles(HEADINGS) or not all(table.has(names) for names in _QUATERNION):
+        return table.angles(HEADINGS, blank=True)
+    x, y, z, w = (table.numbers(names, _UNIT, blank=True) for names in _QUATERNION)
+    return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
 def _stamps(table: Table, placed: BoolArray) -> Float64Array | None:
-    if not table.has(STAMPS):
-        return None
-    stamps = table.numbers(STAMPS, STAMP, blank=True)[placed]
-    return None if np.isnan(stamps).any() else stamps
+    stamps = table.stamps(STAMP, blank=True)
+    return None if stamps is None or np.isnan(stamps[placed]).any() else stamps[placed]
 
 
 def _names(table: Table, placed: BoolArray) -> tuple[str, ...] | None:
