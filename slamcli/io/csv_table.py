@@ -119,16 +119,18 @@ class Table:
         seconds = [_seconds(self._plain(word)) for word in self.words((found,))]
         known = [abs(value) for value in seconds if value is not None]
         unit = names[found]
-        if unit is None:
+        # An exponent has lost the digits of a time.
+        if unit is None and all(map(_DECIMAL.fullmatch, map(self._plain, self.words((found,))))):
             middle = sorted(known)[len(known) // 2] if known else 0
             unit = next((parts for least, parts in _PARTS if middle >= least), 1)
+        unit = unit or 1
         values = np.array([math.nan if s is None else float(s / unit) for s in seconds])
         for index, word in enumerate(self.words((found,))):
             empty = blank and word.lower() in {"", "nan"}
             if not empty and float(values[index]) not in limits:
                 raise InputError(
                     f"{self.path}, line {self.lines[index]}: {found} is {quoted(word)}; "
-                    f"{limits} is needed, or a time such as 2024-05-06T12:00:00Z"
+                    f"{limits} or a time such as 2024-05-06T12:00:00Z is needed"
                 )
         return values
 

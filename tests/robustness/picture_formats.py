@@ -14,7 +14,14 @@ from fuzz import Format, SilentlyWrongError
 from PIL import Image
 
 from slamcli.core.errors import FrameError
-from slamcli.io.frames import list_frames, read_frame, read_image, read_reduced_gray, read_size
+from slamcli.io.frames import (
+    FrameFile,
+    list_frames,
+    read_frame,
+    read_image,
+    read_reduced_gray,
+    read_size,
+)
 from slamcli.io.images.unread import unread_note
 
 WIDTH, HEIGHT = 60, 46
@@ -127,10 +134,26 @@ def foreign() -> list[bytes]:
     return [start + random for start in starts for random in (bytes(300), picture().tobytes())]
 
 
+def read_pages(files: list[FrameFile]) -> None:
+    """Read the pages of a file: each is a picture of the size that it declares, or has a reason."""
+    for file in files:
+        width, height = file.size()
+        try:
+            image, gray = read_frame(file).image, read_frame(file, gray=True).image
+        except FrameError:
+            continue
+        expect(image.shape == (height, width, 3), "a page of another size than it declares")
+        expect(gray.shape == (height, width), "gray or colour")
+
+
 def read(path: Path) -> None:
     """Read a picture in every way, and compare the ways with one another."""
-    unread_note(list_frames([path]))
-    (file,) = list_frames([path])
+    files = list_frames([path])
+    unread_note(files)
+    file = files[0]
+    if file.part is not None:
+        read_pages(files)
+        return
     try:
         image = read_image(path)
     except FrameError:
