@@ -27,6 +27,8 @@ class Trajectory:
         is not known.
     unplaced : int
         How many frames of the file have no pose.
+    headings : (N,) float64 or None
+        As the file has them, not within a turn; None where it has none.
     """
 
     poses: Float64Array
@@ -35,6 +37,7 @@ class Trajectory:
     fragments: Int64Array
     sigmas: Float64Array | None
     unplaced: int = 0
+    headings: Float64Array | None = None
 
     def __len__(self) -> int:
         return len(self.poses)

@@ -42,6 +42,9 @@ from slamcli.io.files import read_text, write_text
 from slamcli.io.gps_tracks import is_track, read_track
 from slamcli.io.trajectories import read_trajectory
 
+# No robot on a floor turns that fast for a tenth of its way, one and a half times around a second
+# [guarded by tests/stages/test_telemetry.py].
+_MAX_SPIN_RADIANS_PER_SECOND, _SPIN_PERCENTILE = 10.0, 90.0
 # Clockwise from north, as a hand-held compass reads.
 _BEARINGS = ("bearing", "azimuth")
 _LATITUDES = ("latitude", "lat", "latitude_deg", "lat_deg", "gps_lat", "gps_latitude")
@@ -113,6 +116,8 @@ def read_odometry(path: Path) -> list[OdometryReading]:
     if track.stamps is None:
         raise InputError(f"{path} has poses without stamps; odometry needs a column stamp")
     _refuse_backwards(path, track.stamps, None)
+    if track.headings is not None:
+        _refuse_degrees(path, track.stamps, track.headings)
     return [
         OdometryReading(stamp, Pose2(*pose))
         for stamp, pose in zip(track.stamps.tolist(), track.poses.tolist(), strict=True)
@@ -208,6 +213,21 @@ def _refuse_backwards(path: Path, stamps: Float64Array, table: Table | None) -> 
         raise InputError(
             f"{path}, {place}: the stamp {stamps[row]:.6f} comes after {stamps[row - 1]:.6f}; "
             "sort the readings by time"
+        )
+
+
+def _refuse_degrees(path: Path, stamps: Float64Array, headings: Float64Array) -> None:
+    """Refuse headings that spin as no robot does: degrees taken for radians."""
+    spans = np.diff(stamps)
+    moving = spans > 0.0
+    if not moving.any() or np.abs(headings).max() <= math.tau:
+        return
+    rates = np.abs(np.diff(headings))[moving] / spans[moving]
+    usual = float(np.percentile(rates, _SPIN_PERCENTILE))
+    if usual > _MAX_SPIN_RADIANS_PER_SECOND:
+        raise InputError(
+            f"{path}: headings up to {np.abs(headings).max():.4g} that change by {usual:.3g} a "
+            "second are in degrees, not radians; name the column heading_degrees"
         )
 
 

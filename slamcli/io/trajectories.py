@@ -120,6 +120,7 @@ def _from_table(table: Table) -> Trajectory:
         fragments[placed].astype(np.int64),
         None if sigmas is None or np.isnan(sigmas).all() else sigmas,
         int((~placed).sum()),
+        heading[placed],
     )
 
 

@@ -192,3 +192,26 @@ def test_a_reading_of_nonsense_is_refused() -> None:
     ):
         with pytest.raises(InputError):
             make()
+
+
+@pytest.mark.parametrize(
+    ("headings", "refused"),
+    [
+        (np.degrees(0.04 * np.arange(60)), True),
+        (np.degrees(0.5 * np.sin(0.2 * np.arange(60))) % 360.0, True),
+        (0.04 * np.arange(60), False),
+        (0.6 * np.arange(60), False),
+        (0.5 * np.sin(0.2 * np.arange(60)) % math.tau, False),
+    ],
+)
+def test_headings_that_spin_as_no_robot_does_are_degrees(
+    headings: np.ndarray, refused: bool, tmp_path: Path
+) -> None:
+    rows = [f"{0.1 * k:.1f},{0.02 * k:.3f},0,{heading:.6f}" for k, heading in enumerate(headings)]
+    path = tmp_path / "odometry.csv"
+    path.write_text("\n".join(["stamp,x,y,heading", *rows]) + "\n")
+    if refused:
+        with pytest.raises(InputError, match="are in degrees, not radians; name the column"):
+            files.read_odometry(path)
+        path.write_text(path.read_text().replace("heading", "heading_degrees"))
+    assert len(files.read_odometry(path)) == 60
