@@ -121,3 +121,14 @@ def test_outlines_go_around_the_cells() -> None:
     assert corners.min(axis=0).tolist() == [5, 2]
     assert corners.max(axis=0).tolist() == [8, 4]
     assert abs(occupancy.signed_area(corners.astype(np.float64))) == pytest.approx(6.0)
+
+
+def test_a_thing_on_the_way_is_one_all_the_same() -> None:
+    """It was put there later, or the way leads beneath the camera's mast over it."""
+    cells = views(4)
+    evidence = floor_evidence(cells, np.ones(cells.shape[:3], np.float32), FAR_APART)
+    driven = np.zeros((SIDE, SIDE), np.bool_)
+    driven[BOX[0].start, BOX[1]] = True
+    plain = occupancy.plain_below(evidence.texture_gray)
+    found = classify(evidence, cells[0], driven, plain, 0.1)
+    assert found.occupied[outline(BOX)].all()

@@ -125,7 +125,7 @@ def classify(
     colours : (h, w, 3) uint8
         Of the map.
     driven : (h, w) bool
-        Cells that the robot's origin passed.
+        Cells that the robot's origin passed: floor, unless views differ there.
     plain_gray : float
         From `plain_below`.
     baseline_metres : float
@@ -134,9 +134,10 @@ def classify(
     inside = np.isfinite(evidence.texture_gray)
     plain = inside & (np.nan_to_num(evidence.texture_gray, nan=np.inf) < plain_gray)
     textured = inside & (_mean(inside & ~plain, _TEXTURE_CELLS) > _TEXTURE_SHARE)
-    parts = _PlainParts(plain, driven, inside)
+    beside = _dilated(_together(evidence.differs), 2)
+    parts = _PlainParts(plain, driven, inside, beside)
     unconfirmed = _dilated(~inside, 2) | (evidence.baseline_metres < baseline_metres)
-    things, doubtful = parts.things(colours, _together(evidence.differs), unconfirmed)
+    things, doubtful = parts.things(colours, unconfirmed)
     plain_floor = parts.labels > 0
     plain_floor &= ~things & ~doubtful & parts.large
     # Edges between a thing's faces, and its outline, are not plain.
@@ -172,41 +173,49 @@ class _PlainParts:
     labels : (h, w) int32
         0 where a cell is not plain.
     floor : (h, w) bool
-        Parts that are floor by their size, or as the robot drove over them.
+        Parts that are floor by their size, or as the robot drove over them and no views differ
+        beside them.
     large : (h, w) bool
         Parts of more than a few cells.
+
+    Parameters
+    ----------
+    plain, driven, inside : (h, w) bool
+    beside : (h, w) bool
+        Cells next to those where views differ.
     """
 
-    def __init__(self, plain: BoolArray, driven: BoolArray, inside: BoolArray) -> None:
+    def __init__(
+        self, plain: BoolArray, driven: BoolArray, inside: BoolArray, beside: BoolArray
+    ) -> None:
         self.number, labels, boxes, _ = cv2.connectedComponentsWithStats(
             plain.astype(np.uint8), connectivity=4
         )
         self.labels = np.asarray(labels, np.int32)
         self._inside = inside
+        self._beside = beside
         self._area = np.asarray(boxes[:, cv2.CC_STAT_AREA])
         floor = self._area > _FLOOR_SHARE * np.count_nonzero(inside)
-        floor |= np.bincount(labels[driven], minlength=self.number) > 0
+        contested = np.bincount(labels[beside], minlength=self.number) >= _MIN_DIFFERING_CELLS
+        floor |= (np.bincount(labels[driven], minlength=self.number) > 0) & ~contested
         floor[0] = False
         self.floor = np.asarray(floor[labels])
         large = self._area >= _MIN_PART_CELLS
         large[0] = False
         self.large = np.asarray(large[labels])
 
-    def things(
-        self, colours: UInt8Array, differs: BoolArray, unconfirmed: BoolArray
-    ) -> tuple[BoolArray, BoolArray]:
+    def things(self, colours: UInt8Array, unconfirmed: BoolArray) -> tuple[BoolArray, BoolArray]:
         """Return the parts that are things, and those of the floor's colours that may be.
 
         Parameters
         ----------
         colours : (h, w, 3) uint8
-        differs : (h, w) bool
         unconfirmed : (h, w) bool
             Cells about which views could not differ, if something stood there.
         """
-        beside = _dilated(differs, 2)
+        beside = self._beside
         candidates = self.large & ~self.floor
-        foreign = candidates & self._foreign(colours, candidates & beside, beside)
+        foreign = candidates & self._foreign(colours, candidates & beside)
         near = _dilated(foreign, _FACES_CELLS)
         number, labels = cv2.connectedComponents(near.astype(np.uint8))
         labels[~foreign] = 0
@@ -218,11 +227,11 @@ class _PlainParts:
         thing[0] = False
         return np.asarray(thing[labels]), candidates & ~foreign & beside
 
-    def _foreign(self, colours: UInt8Array, suspects: BoolArray, beside: BoolArray) -> BoolArray:
+    def _foreign(self, colours: UInt8Array, suspects: BoolArray) -> BoolArray:
         """Return the parts whose mean colour is rare on the floor: not in suspects, nor beside."""
         suspected = np.bincount(self.labels[suspects], minlength=self.number) > 0
         suspected[0] = False
-        others = colours[self._inside & ~beside & ~suspected[self.labels]] // _COLOUR_STEP
+        others = colours[self._inside & ~self._beside & ~suspected[self.labels]] // _COLOUR_STEP
         count = 256 // _COLOUR_STEP + 2
         histogram = np.zeros((count,) * 3)
         np.add.at(histogram, tuple(1 + others.T.astype(np.intp)), 1.0)
