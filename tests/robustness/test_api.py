@@ -86,6 +86,18 @@ def test_hostile_frames_leave_the_map_as_it_is_without_them() -> None:
     assert len(disturbed.finish()) == len(GOOD)
 
 
+def test_frames_that_cannot_be_used_leave_the_others_where_they_are_without_them() -> None:
+    """To the last bit, where only their numbers are missing: these say how much time has passed."""
+    with_them, without = small_mapper(), small_mapper()
+    for number, image in enumerate(GOOD):
+        frame = Frame(2 * number, str(number), None, image)
+        assert with_them.update(frame).map_from_robot == without.update(frame).map_from_robot
+        broken = Frame(2 * number + 1, "broken", None, np.zeros((9, 9), np.uint8))
+        assert with_them.update(broken).reason
+    ours = {e.index: e.map_from_robot for e in with_them.finish() if e.map_from_robot is not None}
+    assert ours == {e.index: e.map_from_robot for e in without.finish()}
+
+
 def test_pixels_of_any_layout_are_the_same_pixels() -> None:
     turned = np.ascontiguousarray(GOOD[1][::-1, ::-1])[::-1, ::-1]
     fortran = np.asfortranarray(GOOD[1])
