@@ -12,6 +12,7 @@ from slamcli.cli.configuration import config_option
 from slamcli.cli.messages import message_options
 from slamcli.cli.options.fields import stacked
 from slamcli.cli.options.sections import SECTIONS, is_expert, section_of
+from slamcli.cli.options.values import Switch
 
 # With more lines --help has its short form.
 _MAX_LINES = 40
@@ -23,6 +24,17 @@ _HELP_ALL = "help_all"
 
 class SlamCommand(click.Command):
     """A command whose help has sections, and a short form without the options for experts."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments; flags that may have a value are given one first."""
+        return super().parse_args(ctx, self.spelled_out(args))
+
+    def spelled_out(self, arguments: list[str]) -> list[str]:
+        """Return the arguments, with the value of each flag that may go without one."""
+        for option in self.params:
+            if isinstance(option.type, Switch):
+                arguments = option.type.spelled_out(option.opts[0], arguments)
+        return arguments
 
     def get_help_option(self, ctx: click.Context) -> click.Option | None:
         """Return the -h option."""

@@ -53,9 +53,12 @@ class SlamGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Return a command with its arguments, which a report may show."""
+        from slamcli.cli.command import SlamCommand
         from slamcli.cli.options.repeating import remember
 
         name, command, rest = super().resolve_command(ctx, args)
+        if isinstance(command, SlamCommand):
+            rest = command.spelled_out(rest)
         remember(ctx, rest)
         return name, command, rest
 

@@ -21,7 +21,7 @@ from slamcli.cli.options.repeating import repeating
 from slamcli.cli.options.sections import CAMERA, ESSENTIAL, OUTPUT, expert, section
 from slamcli.cli.options.selection import selection_options
 from slamcli.cli.options.telemetry import telemetry_options
-from slamcli.cli.options.values import PATH, POSITIVE, Number, Words
+from slamcli.cli.options.values import PATH, POSITIVE, Number, Switch, Words
 from slamcli.core.bounds import HERTZ
 from slamcli.core.config import MapperOptions, MatchOptions
 from slamcli.core.telemetry import TelemetryOptions
@@ -59,10 +59,12 @@ _camera = section(
     ),
     _stitch(
         "self_calibrate",
-        "--self-calibrate/--no-self-calibrate",
-        text="Refine the camera by the frames themselves. And the tilt and height of every frame, "
-        "as far as they determine them (self-calibration).",
-        default=False,
+        "--self-calibrate",
+        Switch(),
+        "Refine the camera by the frames themselves. And every frame's tilt and height, as far as "
+        "they determine them (self-calibration); auto: where they contradict the calibration; the "
+        "flag alone: always.",
+        default="auto",
     ),
 )
 

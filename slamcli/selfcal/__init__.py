@@ -8,7 +8,17 @@ when it differs from the calibration by more than its own uncertainty, and when 
 matches better.
 """
 
-from slamcli.selfcal.bundle import RegisteredDrive
+from slamcli.selfcal.bundle import BRIEF, THOROUGH, Effort, RegisteredDrive
+from slamcli.selfcal.contradiction import contradiction_pixels, contradicts
 from slamcli.selfcal.rounds import SelfCalibration, refine_calibration
 
-__all__ = ["RegisteredDrive", "SelfCalibration", "refine_calibration"]
+__all__ = [
+    "BRIEF",
+    "THOROUGH",
+    "Effort",
+    "RegisteredDrive",
+    "SelfCalibration",
+    "contradiction_pixels",
+    "contradicts",
+    "refine_calibration",
+]

@@ -23,9 +23,7 @@ InOrder = Callable[[Matching, Sequence[FramePair]], Iterable[adjustment.Matches 
 # Iterations of expectation maximisation for the sigmas of the rocking, from their first guess and
 # from an estimate. [All thresholds here are guarded by benchmarks/self_calibration.py.]
 _LEARNING_ROUNDS, _WARM_ROUNDS = 5, 1
-# Besides linked frames those up to this far apart in the sequence are compared, where they overlap.
-_NEIGHBOURS = 3
-_MAX_MATCHES, _MAX_MATCHES_A_PAIR, _MIN_MATCHES_A_PAIR = 60_000, 200, 40
+_MAX_MATCHES, _MIN_MATCHES_A_PAIR = 60_000, 40
 _MIN_PAIRS, _MIN_FRAMES = 4, 4
 # Largest sigmas of log focal length, two radial coefficients, pitch, roll and the principal point
 # of an observable camera; the last only matters where it is confused with a tilt, which has its
@@ -40,6 +38,30 @@ _WITH_K1 = np.array([True, True, False, True, True, False, False])
 _K2 = np.arange(7) == 2
 _CENTRE = np.arange(7) >= 5
 NONE = np.zeros(7, np.bool_)
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How much a self-calibration may cost.
+
+    Attributes
+    ----------
+    neighbours : int
+        Besides linked frames those up to this far apart in the sequence are compared, where they
+        overlap.
+    matches_a_pair : int
+    rounds : int
+        Of registration and adjustment, at most.
+    """
+
+    neighbours: int
+    matches_a_pair: int
+    rounds: int
+
+
+THOROUGH = Effort(neighbours=3, matches_a_pair=200, rounds=4)
+# About as much again as the registration: frames are registered anew only where some are lost.
+BRIEF = Effort(neighbours=2, matches_a_pair=40, rounds=2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +95,7 @@ class BundleRound:
 
 
 def adjust_drive(
-    drive: RegisteredDrive, read: Read, in_order: InOrder, *, coarse: bool
+    drive: RegisteredDrive, read: Read, in_order: InOrder, effort: Effort, *, coarse: bool
 ) -> BundleRound | None:
     """Return the correspondences of a drive and their adjustment; None when too few frames overlap.
 
@@ -84,6 +106,7 @@ def adjust_drive(
         Returns a frame by its index; may raise FrameError.
     in_order : callable
         Like `map`; may work ahead.
+    effort : Effort
     coarse : bool
         Whether the predicted matches may be far off, as with the first calibration: then those of a
         coarse pyramid level are adjusted first, to predict the others.
@@ -94,14 +117,14 @@ def adjust_drive(
         for estimate in drive.estimates
         if estimate.map_from_robot is not None
     }
-    pairs = _pairs(drive)
+    pairs = _pairs(drive, effort.neighbours)
     if len(pairs) < _MIN_PAIRS or len(poses) < _MIN_FRAMES:
         return None
     found: adjustment.Adjustment | None = None
     change = np.zeros(len(NONE))
     for coarsest in (adjustment.MAX_LEVEL, 1) if coarse else (1,):
         matcher = Matcher(calibration, poses, drive.links, read, coarsest)
-        share = min(_MAX_MATCHES // len(pairs), _MAX_MATCHES_A_PAIR)
+        share = min(_MAX_MATCHES // len(pairs), effort.matches_a_pair)
         find = partial(matcher.match, count=max(share, _MIN_MATCHES_A_PAIR))
         matches = [match for match in in_order(find, pairs) if match is not None]
         if len(matches) < _MIN_PAIRS:
@@ -185,13 +208,13 @@ def _adjust_camera(
     return best
 
 
-def _pairs(drive: RegisteredDrive) -> list[FramePair]:
+def _pairs(drive: RegisteredDrive, neighbours: int) -> list[FramePair]:
     """Return the pairs of frames to compare: all that are linked, and near neighbours."""
     fragments = {e.index: e.fragment for e in drive.estimates if e.map_from_robot is not None}
     linked = {(min(link.a, link.b), max(link.a, link.b)) for link in drive.links}
     pairs = {pair for pair in linked if pair[0] in fragments and pair[1] in fragments}
     placed = sorted(fragments)
-    for apart in range(1, _NEIGHBOURS + 1):
+    for apart in range(1, neighbours + 1):
         pairs |= {
             (a, b)
             for a, b in zip(placed, placed[apart:], strict=False)

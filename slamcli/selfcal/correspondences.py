@@ -26,7 +26,7 @@ _MIN_SHARED = 0.2
 _MIN_MATCHES = 12
 _LOOSE_SIGMA_PIXELS = 3.0
 _KEPT_PYRAMIDS = 10
-_OVERLAP_STEP = 8
+_OVERLAP_STEP, _OVERLAP_STEPS = 8, 80
 
 
 class Matcher:
@@ -59,6 +59,9 @@ class Matcher:
         usable = resolution_image(calibration) > 0.0
         self._usable = np.where(usable, np.uint8(255), np.uint8(0))
         self._pyramid = lru_cache(maxsize=_KEPT_PYRAMIDS)(self._make_pyramid)
+        self._information = lru_cache(maxsize=_KEPT_PYRAMIDS)(
+            lambda index: adjustment.pixel_information(self._pyramid(index))
+        )
 
     def match(self, pair: FramePair, count: int) -> adjustment.Matches | None:
         """Return up to about `count` matches of two frames; None when they share nothing."""
@@ -73,7 +76,7 @@ class Matcher:
             first, second = self._pyramid(a), self._pyramid(b)
         except FrameError:
             return None
-        points = adjustment.choose_points(first, seen, count)
+        points = adjustment.choose_points(first, self._information(a), seen, count)
         kept, pixels, whitening = adjustment.track(first, second, points, warp, self._coarsest)
         if len(kept) >= _MIN_MATCHES:
             return adjustment.Matches(a, b, points[kept], pixels, whitening)
@@ -87,9 +90,8 @@ class Matcher:
     def _overlap(self, warp: Callable[[Float64Array], Float64Array]) -> UInt8Array:
         """Return (H, W) uint8: 255 at pixels of one frame whose floor the other sees."""
         height, width = self._usable.shape
-        columns, rows = np.meshgrid(
-            np.arange(0, width, _OVERLAP_STEP), np.arange(0, height, _OVERLAP_STEP)
-        )
+        step = max(_OVERLAP_STEP, width // _OVERLAP_STEPS)
+        columns, rows = np.meshgrid(np.arange(0, width, step), np.arange(0, height, step))
         pixels = warp(np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64))
         column, row = np.where(np.isfinite(pixels), pixels, -1.0).T
         inside = (column >= 0) & (column <= width - 1) & (row >= 0) & (row <= height - 1)

@@ -13,8 +13,11 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.selfcal.apply import apply_adjustment, describe_change, with_range
 from slamcli.selfcal.bundle import (
+    BRIEF,
     NONE,
+    THOROUGH,
     BundleRound,
+    Effort,
     InOrder,
     RegisteredDrive,
     adjust_drive,
@@ -23,9 +26,7 @@ from slamcli.selfcal.bundle import (
 )
 from slamcli.selfcal.correspondences import Read
 from slamcli.selfcal.validation import explains_better, has_converged, is_confirmed, unobservable
-
-# [guarded by benchmarks/self_calibration.py]
-_MAX_ROUNDS = 4
+from slamcli.stages import adjustment
 
 Verdict = Literal["refined", "confirmed", "not applied"]
 
@@ -64,7 +65,8 @@ def refine_calibration(
     read: Read,
     register: Callable[[Calibration], RegisteredDrive],
     in_order: InOrder,
-    true_scale: Callable[[Calibration], float],
+    true_scale: Callable[[adjustment.Adjustment], float],
+    effort: Effort = THOROUGH,
 ) -> SelfCalibration:
     """Refine camera and poses from the frames themselves, if the frames determine them.
 
@@ -79,13 +81,14 @@ def refine_calibration(
     in_order : callable
         Like `map`; may work ahead.
     true_scale : callable
-        Returns the factor of a camera's height that keeps the size of what the calibration was
-        made from.
+        Returns the factor of the adjusted camera's height that keeps the size of what the
+        calibration was made from.
+    effort : Effort
     """
     calibration = first.calibration
     if not math.isfinite(calibration.height_metres):
         return SelfCalibration(first, "not applied", "there is no calibration to refine")
-    bundle = adjust_drive(first, read, in_order, coarse=True)
+    bundle = adjust_drive(first, read, in_order, effort, coarse=True)
     if bundle is None:
         return SelfCalibration(first, "not applied", "too few frames share floor")
     rejection = unobservable(bundle.found)
@@ -97,9 +100,10 @@ def refine_calibration(
     if reason:
         return _confirm(first, bundle, reason, before)
     current, rounds = first, 1
-    while rounds < _MAX_ROUNDS and not (rounds > 1 and has_converged(bundle.found)):
+    max_rounds = 1 if effort is BRIEF and _is_whole(first) else effort.rounds
+    while rounds < max_rounds and not (rounds > 1 and has_converged(bundle.found)):
         current = register(with_range(calibration, bundle.found.calibration))
-        following = adjust_drive(current, read, in_order, coarse=False)
+        following = adjust_drive(current, read, in_order, effort, coarse=False)
         rejection = _rejection(first, current, following)
         if following is None or rejection:
             return SelfCalibration(first, "not applied", rejection, rounds)
@@ -108,7 +112,7 @@ def refine_calibration(
         rejection = "the refined camera explains held-out matches no better than the calibration"
         return SelfCalibration(first, "not applied", rejection, rounds)
     found = bundle.found
-    done = apply_adjustment(current, found, true_scale(found.calibration))
+    done = apply_adjustment(current, found, true_scale(found))
     reason = describe_change(calibration, done.calibration)
     after = median_pixels(found, bundle.matches)
     return SelfCalibration(done, "refined", reason, rounds, before, after, found.rocking_sigmas)
@@ -132,6 +136,13 @@ def _rejection(first: RegisteredDrive, current: RegisteredDrive, bundle: BundleR
     if bundle is None:
         return "with the refined camera too few frames share floor"
     return unobservable(bundle.found)
+
+
+def _is_whole(drive: RegisteredDrive) -> bool:
+    """Return whether all frames are placed in one map."""
+    return {estimate.fragment for estimate in drive.estimates} == {0} and _placed(drive) == len(
+        drive.estimates
+    )
 
 
 def _placed(drive: RegisteredDrive) -> int:

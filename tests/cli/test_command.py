@@ -76,7 +76,7 @@ def test_a_file_by_hand_gives_options_and_the_command_line_overrides_them(
     assert found.mapper.min_score == 0.6
     assert found.mapper.loops is False
     assert found.mapper.matching.ratio == 0.9
-    assert found.self_calibrate is True
+    assert found.self_calibrate == "always"
     assert found.telemetry.lever_arm_metres is None
     assert found.products.paint.metres_per_pixel == 0.002
     assert found.products.crop == (0, 0.5, 1, 2)
@@ -238,3 +238,23 @@ def test_the_version_names_what_it_runs_on(monkeypatch: pytest.MonkeyPatch) -> N
 def test_every_command_takes_the_options_of_messages(command: str, calls: Calls) -> None:
     assert run(command, *ARGUMENTS[command], "-q", "-v").exit_code == 0
     assert len(calls) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ((), "auto"),
+        (("--self-calibrate",), "always"),
+        (("--self-calibrate", "never"), "never"),
+        (("--self-calibrate=auto",), "auto"),
+        (("--no-self-calibrate",), "never"),
+    ],
+)
+@pytest.mark.parametrize("frames_last", [False, True])
+def test_self_calibration_by_a_flag_or_a_word(
+    calls: Calls, arguments: tuple[str, ...], expected: str, frames_last: bool
+) -> None:
+    given = (*arguments, "frames") if frames_last else ("frames", *arguments)
+    assert run("stitch", *given).exit_code == 0
+    assert options_of(calls).self_calibrate == expected
+    assert run("stitch", "frames", "--self-calibrate=maybe").exit_code == 2

@@ -10,7 +10,7 @@ import pytest
 from matched_drives import CHANGE, POSES, TRUE, WRONG, bundle_round
 
 from slamcli.core.records import PoseEstimate
-from slamcli.selfcal import RegisteredDrive, refine_calibration, rounds
+from slamcli.selfcal import BRIEF, THOROUGH, RegisteredDrive, refine_calibration, rounds
 from slamcli.selfcal.bundle import MAX_SIGMAS
 from slamcli.stages import adjustment
 
@@ -39,7 +39,7 @@ def registered(calibration, placed=COUNT):
 def refine(monkeypatch):
     """Run a self-calibration whose bundle adjustments give these results, one a round."""
 
-    def run(first, results, placed=COUNT):
+    def run(first, results, placed=COUNT, effort=THOROUGH):
         given = iter(results)
         monkeypatch.setattr(rounds, "adjust_drive", lambda *_args, **_options: next(given))
         done = refine_calibration(
@@ -48,6 +48,7 @@ def refine(monkeypatch):
             lambda calibration: registered(calibration, placed),
             map,
             lambda _: 1.0,
+            effort,
         )
         return done, list(given)
 
@@ -144,3 +145,11 @@ def test_a_camera_that_is_no_better_in_the_end_is_not_applied(refine):
     other = adjustment.changed(TRUE, -2.0 * CHANGE)
     worse = replace(worse, found=replace(worse.found, calibration=other))
     not_applied(refine(first, [bundle_round(CHANGE, SURE), worse])[0], first, "no better")
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_in_brief_frames_are_registered_anew_only_where_some_are_lost(refine, lost):
+    results = [bundle_round(CHANGE, SURE), bundle_round(np.zeros(7), SURE)]
+    done, left = refine(registered(WRONG, COUNT - lost), results, effort=BRIEF)
+    assert (done.verdict, done.rounds) == ("refined", 1 + lost)
+    assert len(left) == 1 - lost

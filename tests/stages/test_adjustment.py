@@ -216,7 +216,7 @@ def test_spots_are_found_to_hundredths_of_a_pixel_and_lines_along_one_direction(
     other = np.clip(0.7 * other.astype(np.float32) + 20, 0, 255).astype(np.uint8)
     seen = cv2.warpPerspective(mask, np.linalg.inv(bend), (320, 240))
     first, second = (adjustment.make_pyramid(picture, mask) for picture in (image, other))
-    points = adjustment.choose_points(first, seen, 120)
+    points = adjustment.choose_points(first, adjustment.pixel_information(first), seen, 120)
     assert len(points) > 80
     for predicted, coarsest, limit in ((far_off, 3, 0.1), (near, 1, 0.05)):
         kept, pixels, _ = adjustment.track(
@@ -230,7 +230,7 @@ def test_spots_are_found_to_hundredths_of_a_pixel_and_lines_along_one_direction(
     stripe = np.full((240, 320), 40, np.uint8)
     stripe[100:120] = 220
     line = adjustment.make_pyramid(cv2.GaussianBlur(stripe, (0, 0), 1.0), mask)
-    points = adjustment.choose_points(line, mask, 100)
+    points = adjustment.choose_points(line, adjustment.pixel_information(line), mask, 100)
     kept, _, whitening = adjustment.track(line, line, points, lambda pixels: pixels)
     assert len(kept) > 5
     assert np.all(np.abs(whitening[:, :, 0]) < 1e-3 * np.abs(whitening[:, :, 1]).max())
@@ -243,9 +243,23 @@ def test_the_square_fixes_the_height(true_camera: Calibration, tmp_path: Path) -
     wrong = rocked(true_camera, Rocking(0.0, 0.0, 0.03))
     save_calibration(tmp_path / "a.yaml", wrong, CalibrationSource("p.png", "square", 0.3, corners))
     origin = load_origin(tmp_path / "a.yaml")
-    assert true_scale(origin, true_camera) == pytest.approx(1.0, abs=1e-4)
-    assert true_scale(origin, wrong) == pytest.approx(0.3 / 0.33, abs=1e-3)
-    assert true_scale(None, wrong) == 1.0
+    still = adjustment.FramePose(Pose2(), Rocking())
+
+    def found(camera: Calibration, own: adjustment.FramePose = still) -> adjustment.Adjustment:
+        none = np.zeros(7)
+        camera_only = (camera, {0: own}, none, np.diag(none), {}, np.full(3, 1e-4), 1.0, 0.0)
+        return adjustment.Adjustment(*camera_only)
+
+    assert true_scale(origin, None, found(true_camera)) == pytest.approx(1.0, abs=1e-4)
+    assert true_scale(origin, None, found(wrong)) == pytest.approx(0.3 / 0.33, abs=1e-3)
+    assert true_scale(None, None, found(wrong)) == 1.0
+    # The photo is a frame that stood higher, and tilted, while it was taken.
+    up = adjustment.FramePose(Pose2(), Rocking(0.01, -0.02, 0.03))
+    taken = rocked(true_camera, up.rocking)
+    corners, _ = project_floor(taken, floor)
+    moved = replace(origin, corners=corners)
+    assert true_scale(moved, 0, found(true_camera, up)) == pytest.approx(1.0, abs=1e-4)
+    assert abs(true_scale(moved, None, found(true_camera)) - 1.0) > 0.05
 
 
 def run(*arguments: object) -> Result:

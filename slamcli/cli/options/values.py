@@ -172,6 +172,42 @@ class Words(Value):
         return ",".join(value)
 
 
+class Switch(Value):
+    """Whether something is done: auto, always or never; of a flag without a value, always.
+
+    A file may say true or false.
+    """
+
+    name = "auto|always|never"
+    words = ("auto", "always", "never")
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """Return the word."""
+        word = {"true": "always", "false": "never"}.get(str(value).lower(), str(value))
+        if word not in self.words:
+            self.fail(f"{value!r} is none of {', '.join(self.words)}", param, ctx)
+        return word
+
+    def text(self, value: Any) -> str:
+        """Return the word."""
+        return str(value)
+
+    def spelled_out(self, flag: str, arguments: list[str]) -> list[str]:
+        """Return the arguments of a command with the flag's value, or `--no-` before it, as words.
+
+        So the argument after a flag without a value is not taken for one.
+        """
+        spelled = []
+        for number, argument in enumerate(arguments):
+            if argument == flag and not set(arguments[number + 1 : number + 2]) & set(self.words):
+                spelled.append(f"{flag}=always")
+            elif argument == f"--no-{flag.removeprefix('--')}":
+                spelled.append(f"{flag}=never")
+            else:
+                spelled.append(argument)
+        return spelled
+
+
 class Gamma(Value):
     """How a picture encodes light: srgb, linear, or the exponent of a power."""
 

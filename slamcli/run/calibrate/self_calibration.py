@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.calibration import Rocking
 from slamcli.core.camera.lens import undistort_points
+from slamcli.core.camera.mounting import rocked
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import CalibrationError, InputError
 from slamcli.core.geometry import Pose2, apply_homography
 from slamcli.io.calibrations import CalibrationSource, load_origin, save_calibration
-from slamcli.io.frames import read_frame
+from slamcli.io.frames import FrameFile, read_frame
 from slamcli.io.outputs import refuse_existing
 from slamcli.io.runs import camera_section
 from slamcli.io.toml import Scalar
@@ -24,8 +25,21 @@ from slamcli.run.command_report import Report
 from slamcli.run.frame_loop import register
 from slamcli.run.inputs import Inputs, open_inputs
 from slamcli.run.session.session import Session
-from slamcli.selfcal import RegisteredDrive, SelfCalibration, refine_calibration
+from slamcli.selfcal import (
+    THOROUGH,
+    Effort,
+    RegisteredDrive,
+    SelfCalibration,
+    contradiction_pixels,
+    contradicts,
+    refine_calibration,
+)
+from slamcli.stages import adjustment
 from slamcli.stages import calibrate as solving
+
+# Of the calibration photo's corners, and of a frame's tilt that was adjusted: one sigma.
+_CORNER_PIXELS = 0.5
+_LEAST_TILT = 1e-5
 
 
 def calibrate_by_frames(
@@ -64,8 +78,23 @@ def calibrate_by_frames(
     return Report(tuple(lines), {"output": path, **run_section(done), **camera})
 
 
+def look(inputs: Inputs, first: RegisteredDrive, session: Session) -> tuple[bool, str]:
+    """Return whether the frames contradict their calibration, and a line on what was found."""
+    here = session.on_this_machine()
+    pixels = contradiction_pixels(
+        first, lambda index: read_frame(inputs.files[index]), here.ordered
+    )
+    if math.isnan(pixels):
+        return False, ""
+    return contradicts(pixels), f"as calibrated: the frames agree with it to {pixels:.2f} px"
+
+
 def self_calibrate(
-    inputs: Inputs, first: RegisteredDrive, options: MapperOptions, session: Session
+    inputs: Inputs,
+    first: RegisteredDrive,
+    options: MapperOptions,
+    session: Session,
+    effort: Effort = THOROUGH,
 ) -> SelfCalibration:
     """Refine camera and poses by the frames that have been registered."""
     origin = None if inputs.calibration_path is None else load_origin(inputs.calibration_path)
@@ -75,21 +104,48 @@ def self_calibrate(
         lambda index: read_frame(inputs.files[index]),
         partial(register, inputs.files, options, here),
         here.ordered,
-        partial(true_scale, origin),
+        partial(true_scale, origin, _index_of(origin, inputs.files)),
+        effort,
     )
 
 
-def true_scale(origin: CalibrationSource | None, calibration: Calibration) -> float:
+def _index_of(origin: CalibrationSource | None, files: Sequence[FrameFile]) -> int | None:
+    """Return which frame is the calibration photo, by its name."""
+    named = [file.index for file in files if origin is not None and file.path.name == origin.photo]
+    return named[0] if len(named) == 1 else None
+
+
+def true_scale(
+    origin: CalibrationSource | None,
+    photo_index: int | None,
+    found: adjustment.Adjustment,
+) -> float:
     """Return by how much a camera's height must grow for its calibration square to have its size.
 
-    The refined focal length and tilt change how large the square seems in its photo: least squares
-    on the reprojection of its corners, by size and place. 1 without a square.
+    The refined camera changes how large the square seems in its photo, which has a pose of its own:
+    least squares on the reprojection of its corners, by size, place and tilt. 1 without a square.
+
+    Parameters
+    ----------
+    origin : CalibrationSource or None
+    photo_index : int or None
+        Index of the frame that is the calibration photo, whose tilt and height were adjusted; of
+        another photo the tilt is as likely as those of the frames.
+    found : Adjustment
     """
     if origin is None or origin.target.split()[:1] not in (["square"], ["aruco"]):
         return 1.0
     # Slow to load, and used by few runs of `slam stitch`.
     from scipy.optimize import least_squares
 
+    calibration, own = (
+        found.calibration,
+        found.poses.get(-1 if photo_index is None else photo_index),
+    )
+    if own is not None:
+        calibration = rocked(calibration, own.rocking)
+    sigmas = np.full(2, _LEAST_TILT) if own is not None else found.rocking_sigmas[:2]
+    sigmas = np.maximum(sigmas, _LEAST_TILT)
     corners = solving.sort_corners(origin.corners, calibration.image_size)
     target = solving.square_target(origin.side_metres)
     pixels = undistort_points(calibration, corners)
@@ -98,12 +154,13 @@ def true_scale(origin: CalibrationSource | None, calibration: Calibration) -> fl
     yaw = math.atan2(edge[1], edge[0]) - math.atan2(side[1], side[0])
 
     def misfit(values: Float64Array) -> Float64Array:
-        size, x, y, theta = (float(value) for value in values)
+        size, x, y, theta, pitch, roll = (float(value) for value in values)
         placed = Pose2(x, y, theta).apply(math.exp(size) * target)
-        seen = apply_homography(calibration.image_from_robot, placed)
-        return (seen - pixels).ravel()
+        tilted = rocked(calibration, Rocking(pitch, roll))
+        seen = apply_homography(tilted.image_from_robot, placed)
+        return np.concatenate([(seen - pixels).ravel() / _CORNER_PIXELS, values[4:] / sigmas])
 
-    start = np.array([0.0, *floor.mean(axis=0), yaw])
+    start = np.array([0.0, *floor.mean(axis=0), yaw, 0.0, 0.0])
     solution = least_squares(misfit, start, method="lm", x_scale="jac")
     return math.exp(-float(solution.x[0]))
 

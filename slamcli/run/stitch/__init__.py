@@ -30,6 +30,7 @@ from slamcli.run.stitch.drive import Drive, LocatedDrive, open_drive
 from slamcli.run.stitch.options import StitchOptions
 from slamcli.run.stitch.timing import TIMING_NAME, Timing
 from slamcli.run.telemetry import TelemetryFiles, feed_shifted
+from slamcli.selfcal import BRIEF, THOROUGH
 
 _DRAWINGS = "matches"
 # With so many frames compared, the fault of an odometry that contradicts them is clear.
@@ -271,11 +272,24 @@ def _locate(
 
 
 def self_calibrate(located: LocatedDrive, session: Session) -> LocatedDrive:
-    """Refine the camera and the poses by the frames, if the options say so."""
-    if not located.drive.options.self_calibrate or session.interruption.happened:
+    """Refine the camera and the poses by the frames: always, or where these contradict it."""
+    mode = located.drive.options.self_calibrate
+    if mode == "never" or session.interruption.happened:
         return located
+    if mode == "auto":
+        if located.drive.options.extend is not None or located.drive.telemetry_files.any:
+            return located
+        contradicted, note = self_calibration.look(
+            located.drive.inputs, located.registered, session
+        )
+        if not contradicted:
+            return replace(located, camera_note=note)
     refined = self_calibration.self_calibrate(
-        located.drive.inputs, located.registered, located.mapper.options, session
+        located.drive.inputs,
+        located.registered,
+        located.mapper.options,
+        session,
+        BRIEF if mode == "auto" else THOROUGH,
     )
     return replace(located, registered=refined.registration, self_calibration=refined)
 

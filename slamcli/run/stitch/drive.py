@@ -88,6 +88,9 @@ class LocatedDrive:
     time_offset : str
         A line on the sensors' clock against the frames'; empty when it was not to be found.
     self_calibration : SelfCalibration or None
+        None where the camera was not refined.
+    camera_note : str
+        Why it was not, where it was looked at.
     survey : SurveyFacts or None
         Of frames without a calibration that were located as a survey.
     on_earth : dict of int to Georeference
@@ -101,6 +104,7 @@ class LocatedDrive:
     vanished: tuple[str, ...]
     time_offset: str
     self_calibration: SelfCalibration | None = None
+    camera_note: str = ""
     survey: SurveyFacts | None = None
     on_earth: dict[int, Georeference] = field(default_factory=dict)
 
@@ -172,7 +176,7 @@ def open_drive(
     telemetry = read_telemetry(telemetry_files, inputs, options.telemetry.time_offset_seconds)
     exports.check_exports(options.export, inputs.files, has_gps=bool(telemetry.gps))
     outputs.check_products(options.products, inputs.calibration)
-    if options.self_calibrate and telemetry_files.any:
+    if options.self_calibrate == "always" and telemetry_files.any:
         raise InputError(
             "--self-calibrate works by the frames alone; refine the camera first "
             "(slam calibrate --refine), then give what comes of it with the other sensors"
@@ -191,7 +195,7 @@ def _check_extension(
     """Refuse what a finished map cannot be extended with."""
     if calibration_path is not None or options.max_range_metres is not None:
         raise InputError("--extend takes the map's own camera; leave out -c and --max-range")
-    if options.self_calibrate or telemetry_files.any:
+    if options.self_calibrate == "always" or telemetry_files.any:
         raise InputError(
             "--extend works by the frames alone, with the camera as it is; leave out "
             "--self-calibrate, --odometry, --compass and --gps, or stitch both drives anew"

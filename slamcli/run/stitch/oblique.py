@@ -131,7 +131,7 @@ def with_camera(drive: Drive, camera: ObliqueCamera, size: tuple[int, int]) -> D
             f"{camera.reason}; calibrate it (slam calibrate), or give --mount free if they are "
             "from above"
         )
-    options = replace(drive.options, self_calibrate=True)
+    options = replace(drive.options, self_calibrate="always")
     calibration = camera.calibration(size, options.height_metres)
     mapper = Mapper(calibration, drive.mapper.options, options.telemetry)
     note = (

@@ -11,6 +11,7 @@ from slamcli.core.telemetry import TelemetryOptions
 from slamcli.run.networks import NO_NETWORKS, NetworkFiles
 
 Mount = Literal["auto", "rigid", "free"]
+SelfCalibrate = Literal["auto", "always", "never"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +36,9 @@ class StitchOptions:
         freedom, ``free`` to six; ``auto`` finds out.
     height_metres : float or None
         Of a camera without a calibration that looks ahead; None leaves it the unit of length.
-    self_calibrate : bool
-        Refine the camera by the frames, where they determine it.
+    self_calibrate : str
+        Refine the camera by the frames, where they determine it: ``always``, ``never`` or, where
+        they contradict the calibration, ``auto``.
     debug : bool
         Also draw every frame's matches.
     export : tuple of str
@@ -58,7 +60,7 @@ class StitchOptions:
     selection: FrameSelection = field(default_factory=FrameSelection)
     mount: Mount = "auto"
     height_metres: float | None = None
-    self_calibrate: bool = False
+    self_calibrate: SelfCalibrate = "auto"
     debug: bool = False
     export: tuple[str, ...] = ()
     extend: Path | None = None

@@ -52,6 +52,8 @@ def report(
         *_use_rows(located),
     ]
     lines += [f"{name:<12} {value}" for name, value in rows]
+    if located.camera_note:
+        lines.append(f"{'camera':<12} {located.camera_note}")
     if located.self_calibration is not None:
         lines += describe(located.self_calibration)
     facts = {**_facts(located, painted), "seconds": seconds, "output": output}

@@ -41,7 +41,7 @@ def begin(drive: Drive, checkpoint: Checkpoint, *, overwrite: bool) -> bool:
     located_by = replace(
         drive.options,
         products=ProductOptions(),
-        self_calibrate=False,
+        self_calibrate="never",
         export=(),
         resume=False,
         strict=False,

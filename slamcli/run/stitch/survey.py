@@ -69,7 +69,7 @@ def may_be_survey(drive: Drive) -> bool:
     return (
         drive.inputs.calibration_path is None
         and options.extend is None
-        and not options.self_calibrate
+        and options.self_calibrate != "always"
         and not drive.telemetry_files.any
         and options.mount != "rigid"
     )

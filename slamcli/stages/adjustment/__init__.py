@@ -4,7 +4,12 @@
 that explain them, `projection` transfers pixels from frame to frame for both.
 """
 
-from slamcli.stages.adjustment.patch_tracking import Matches, choose_points, track
+from slamcli.stages.adjustment.patch_tracking import (
+    Matches,
+    choose_points,
+    pixel_information,
+    track,
+)
 from slamcli.stages.adjustment.projection import FramePose, changed, transfer
 from slamcli.stages.adjustment.pyramid import MAX_LEVEL, Pyramid, make_pyramid
 from slamcli.stages.adjustment.solver import (
@@ -25,6 +30,7 @@ __all__ = [
     "changed",
     "choose_points",
     "make_pyramid",
+    "pixel_information",
     "residual_lengths",
     "track",
     "transfer",

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from slamcli.core.arrays import Float64Array, Int64Array, UInt8Array
+from slamcli.core.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
 from slamcli.stages.adjustment.patch_alignment import (
     HALF_PIXELS,
     Warp,
@@ -58,25 +58,35 @@ class Matches:
         return len(self.pixels_a)
 
 
-def choose_points(pyramid: Pyramid, seen: UInt8Array, count: int) -> Float64Array:
-    """Return up to about `count` (N, 2) most informative pixels, one in each cell of a raster.
-
-    Parameters
-    ----------
-    seen : (H, W) uint8
-        255 where the other frame sees the same floor.
-    """
-    usable = cv2.erode(np.minimum(pyramid.masks[0], seen), np.ones((5, 5)))
-    area = int(np.count_nonzero(usable == 255))
-    cell = max(4, math.ceil(math.sqrt(area / count)))
+def pixel_information(pyramid: Pyramid) -> Float32Array:
+    """Return (H, W): how well each pixel's patch fixes a motion; 0 where it is too weak."""
     right, down = image_gradients(pyramid.images[0])
     side = (2 * HALF_PIXELS + 1, 2 * HALF_PIXELS + 1)
     xx, yy, xy = (cv2.blur(product, side) for product in (right**2, down**2, right * down))
     # The eigenvalues of the structure tensor are middle + spread and middle - spread.
     middle, spread = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
     information = np.maximum(middle - spread, 0.0) + _LINE_SHARE * (middle + spread)
-    strong = (middle + spread > _MIN_GRADIENT_GRAY**2) & (usable == 255)
-    information = np.where(strong, information, 0.0)
+    information[middle + spread <= _MIN_GRADIENT_GRAY**2] = 0.0
+    return np.asarray(information, np.float32)
+
+
+def choose_points(
+    pyramid: Pyramid, information: Float32Array, seen: UInt8Array, count: int
+) -> Float64Array:
+    """Return up to about `count` (N, 2) most informative pixels, one in each cell of a raster.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+    information : (H, W) float32
+        From `pixel_information`.
+    seen : (H, W) uint8
+        255 where the other frame sees the same floor.
+    """
+    usable = cv2.erode(np.minimum(pyramid.masks[0], seen), np.ones((5, 5)))
+    area = int(np.count_nonzero(usable == 255))
+    cell = max(4, math.ceil(math.sqrt(area / count)))
+    information = np.where(usable == 255, information, np.float32(0.0))
     rows, columns = information.shape[0] // cell, information.shape[1] // cell
     cells = information[: rows * cell, : columns * cell].reshape(rows, cell, columns, cell)
     flat = cells.transpose(0, 2, 1, 3).reshape(rows * columns, cell * cell)

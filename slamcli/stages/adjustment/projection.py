@@ -15,8 +15,12 @@ import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float64Array
 from slamcli.core.camera.calibration import Calibration, Rocking
-from slamcli.core.camera.lens import undistort_points
-from slamcli.core.camera.mounting import compose_robot_from_image, robot_from_camera_rotation
+from slamcli.core.camera.lens import distort_points, undistort_points
+from slamcli.core.camera.mounting import (
+    compose_robot_from_image,
+    robot_from_camera_rotation,
+    rocked,
+)
 from slamcli.core.geometry import Pose2, apply_homography, invert
 
 # Numbers of parameters, in the order of the Jacobians' columns: of the camera; of a frame, of which
@@ -89,7 +93,21 @@ def transfer(
     calibration: Calibration, a: FramePose, b: FramePose, pixels_a: Float64Array
 ) -> Float64Array:
     """Return (N, 2): where b sees the floor that a sees at (N, 2) pixels; nan where it does not."""
-    return transfer_with_jacobians(calibration, a, b, pixels_a).pixels
+    there_from_here = (
+        rocked(calibration, b.rocking).image_from_robot
+        @ (b.map_from_robot.inverse() @ a.map_from_robot).matrix
+    )
+    here = rocked(calibration, a.rocking).robot_from_image
+    undistorted = undistort_points(calibration, pixels_a)
+    homogeneous = np.column_stack([undistorted, np.ones(len(undistorted))]) @ here.T
+    seen = homogeneous[:, 2] > 0.0
+    depth = homogeneous / np.where(seen, homogeneous[:, 2], 1.0)[:, None] @ there_from_here[2]
+    seen &= depth > 0.0
+    pixels = np.full_like(undistorted, np.nan)
+    pixels[seen] = distort_points(
+        calibration, apply_homography(there_from_here @ here, undistorted[seen])
+    )
+    return pixels
 
 
 def transfer_with_jacobians(
@@ -220,7 +238,13 @@ def _tilt_axes(calibration: Calibration, pitch: float, roll: float) -> Float64Ar
 
 def _by_rotation(axes: Float64Array, directions: Float64Array) -> Float64Array:
     """Return (N, 3, 2): how directions in the robot frame change with pitch and roll."""
-    return np.stack([np.cross(axis, directions) for axis in axes], axis=2)
+    x, y, z = directions.T
+    turned = np.empty((len(directions), 3, 2))
+    for column, (a, b, c) in enumerate(axes.tolist()):
+        turned[:, 0, column] = b * z - c * y
+        turned[:, 1, column] = c * x - a * z
+        turned[:, 2, column] = a * y - b * x
+    return turned
 
 
 def _to_ray(calibration: Calibration, rocking: Rocking, points: Float64Array) -> _FloorRays:
