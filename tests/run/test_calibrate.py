@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from photo_files import exif_of, write_photo
 from square_photos import SIDE_METRES, Photo, random_photo, render, rotation
 
 from slamcli.cli.main import main
@@ -179,6 +180,23 @@ def test_straight_above_the_focal_length_stays_at_its_prior_with_an_honest_sigma
     lengths = mounting.covariance[0, 0] + mounting.covariance[1, 1] - 2 * mounting.covariance[0, 1]
     assert math.sqrt(lengths) < 0.005
     assert not solve(Photo(), Photo().corners, 0.1, known=False).focal_assumed
+
+
+def test_straight_above_the_photos_own_note_gives_the_focal_length(tmp_path: Path) -> None:
+    photo = Photo(pitch=90.0, height=0.6, centre=(0.02, 0.0), yaw=10.0)
+    path = tmp_path / "photo.jpg"
+    # 560 px of a diagonal of 800 px are 30.3 mm of 43.3 mm.
+    write_photo(path, render(photo), exif_of(focal_35mm=30))
+    corners = tuple((float(x), float(y)) for x, y in photo.corners)
+    run_calibrate(
+        [path],
+        tmp_path / "out.yaml",
+        CalibrateOptions(SIDE_METRES, corners=corners),
+        overwrite=False,
+    )
+    calibration = load_calibration(tmp_path / "out.yaml")
+    assert calibration.height_metres == pytest.approx(0.6, rel=0.02)
+    assert calibration.focal_sigma_pixels / calibration.camera_matrix[0, 0] < 0.06
 
 
 @pytest.mark.parametrize(

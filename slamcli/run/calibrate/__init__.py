@@ -25,6 +25,7 @@ from slamcli.drawing.calibration import birdseye_grid, draw_calibration
 from slamcli.io.calibrations import CalibrationSource, load_intrinsics, save_calibration
 from slamcli.io.files import write_drawing
 from slamcli.io.frames import read_image
+from slamcli.io.images.photo import read_photo_info
 from slamcli.io.outputs import refuse_existing
 from slamcli.io.runs import camera_section
 from slamcli.run.calibrate.mountings import (
@@ -43,6 +44,8 @@ from slamcli.stages.calibrate import board
 
 # Error of a given corner, one sigma, where nothing measured it.
 _GIVEN_CORNER_SIGMA_PIXELS = 0.5
+# Of a focal length noted in whole millimetres of 35 mm film, as a share: rounding, focus, crop.
+_NOTED_FOCAL_SIGMA = 0.05
 # Error of corners by an unknown lens and an uneven floor, as a share of the picture's width
 # [guarded by tests/stages/test_square.py].
 _TOLERANCE_SHARE = 0.004
@@ -202,7 +205,8 @@ def _calibrate(photo: Path, options: CalibrateOptions, intrinsics: Intrinsics | 
         )
     target = find_target(image, options, intrinsics)
     if intrinsics is None:
-        mounting = solving.solve_mounting(target.points, size, None, options.ahead_radians)
+        prior = _noted_focal(photo, size)
+        mounting = solving.solve_mounting(target.points, size, prior, options.ahead_radians)
     else:
         mounting = solving.solve_mounting_with_intrinsics(
             target.points, intrinsics, options.ahead_radians
@@ -219,6 +223,12 @@ def _calibrate(photo: Path, options: CalibrateOptions, intrinsics: Intrinsics | 
     return Result(
         photo, image, target, mounting, calibration, area, resolved, near, feature_count=count
     )
+
+
+def _noted_focal(photo: Path, size: tuple[int, int]) -> solving.FocalPrior | None:
+    """Return the focal length that a photo notes in its EXIF; None where it notes none."""
+    noted = read_photo_info(photo).focal_pixels(size)
+    return None if noted is None else solving.FocalPrior(noted, _NOTED_FOCAL_SIGMA)
 
 
 def find_target(

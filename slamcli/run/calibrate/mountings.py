@@ -187,7 +187,8 @@ def _mounting_notes(result: Result) -> list[str]:
         share = mounting.sigmas[0] / mounting.focal_pixels
         notes.append(
             f"the {result.target.name}, seen from about straight above, does not show the focal "
-            f"length: {mounting.focal_pixels:.0f} px ± {share:.0%} is assumed. Lengths on the "
+            f"length: {mounting.focal_pixels:.0f} px ± {share:.0%} is taken, as the photo "
+            "notes it or else as is usual. Lengths on the "
             "floor are right all the same, the height is not; for it give --intrinsics "
             "camera_info.yaml, or a photo from a slant"
         )
