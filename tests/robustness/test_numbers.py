@@ -17,7 +17,12 @@ from slamcli.core.camera.footprint import check_metres_per_pixel, footprint_hull
 from slamcli.core.camera.resolution import resolution_image
 from slamcli.core.errors import CalibrationError, InputError
 from slamcli.core.geometry import Pose2
-from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
+from slamcli.core.telemetry import (
+    COMPASS_SIGMA_RADIANS,
+    CompassReading,
+    GpsReading,
+    OdometryReading,
+)
 from slamcli.io.calibrations import calibration_text, load_calibration
 from slamcli.io.files import read_text
 from slamcli.io.telemetry import read_compass, read_gps, read_odometry
@@ -41,12 +46,20 @@ def test_a_field_of_gps_is_within_bounds(tmp_path: Path, column: str, value: str
     assert len(str(raised.value)) < 300
 
 
-@pytest.mark.parametrize("value", [*HOSTILE, "1e-18"])
+@pytest.mark.parametrize("value", HOSTILE)
 def test_a_sigma_that_no_solver_could_use_is_refused(tmp_path: Path, value: str) -> None:
     file = tmp_path / "compass.csv"
     file.write_text(f"stamp,heading,sigma\n0,0,{value}\n")
-    with pytest.raises(InputError, match=r"line 2: sigma is .* a number from 1e-06"):
+    with pytest.raises(InputError, match=r"line 2: sigma is .* a number from 0 to 1000 "):
         read_compass(file)
+
+
+@pytest.mark.parametrize("value", ["0", "1e-18"])
+def test_a_sigma_too_small_for_a_solver_is_not_known(tmp_path: Path, value: str) -> None:
+    file = tmp_path / "compass.csv"
+    file.write_text(f"stamp,heading,sigma\n0,0,{value}\n")
+    (reading,) = read_compass(file)
+    assert reading.with_sigma().sigma_radians == COMPASS_SIGMA_RADIANS
 
 
 @pytest.mark.parametrize("value", HOSTILE[1:])
