@@ -21,7 +21,7 @@ from slamcli.cli.options.repeating import repeating
 from slamcli.cli.options.sections import CAMERA, ESSENTIAL, OUTPUT, expert, section
 from slamcli.cli.options.selection import selection_options
 from slamcli.cli.options.telemetry import telemetry_options
-from slamcli.cli.options.values import PATH, POSITIVE, Number, Switch, Words
+from slamcli.cli.options.values import PATH, POSITIVE, Bar, Number, Switch, Words
 from slamcli.core.bounds import HERTZ
 from slamcli.core.config import MapperOptions, MatchOptions
 from slamcli.core.telemetry import TelemetryOptions
@@ -54,8 +54,24 @@ _camera = section(
         "height_metres",
         "--height",
         POSITIVE,
-        "Metres above the floor, without a calibration. Of a camera that looks ahead; it gives the "
-        "map its scale.",
+        "Metres above the floor, without a calibration. It gives the map its scale.",
+    ),
+    expert(
+        CAMERA,
+        _stitch(
+            "scale",
+            "--scale",
+            Bar(),
+            "Two pixels of a frame and their metres, without a calibration. Of frames from above: "
+            "the frame's name, column and row of either end, and their distance.",
+        ),
+        _stitch(
+            "control",
+            "--control",
+            PATH,
+            "CSV of control points, without a calibration. Columns frame, column, row, and x, y "
+            "(metres) or latitude, longitude; of frames from above.",
+        ),
     ),
     _stitch(
         "self_calibrate",

@@ -24,6 +24,7 @@ REFINING = {("calibrate", "--calibration"), ("calibrate", "--workers")}
 OF_THE_COMMAND_LINE = {"--config", "--help-all", "--verbose", "--quiet", "--log-file"}
 TEXTS = {
     "--crs": "EPSG:25832",
+    "--scale": "c.png,1,2,30,40,0.5",
     "--format": "geotiff",
     "--layers": "views",
     "--export": "tum",

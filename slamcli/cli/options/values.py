@@ -208,6 +208,35 @@ class Switch(Value):
         return spelled
 
 
+class Bar(Value):
+    """A scale bar: a frame, two of its pixels, and their distance in metres."""
+
+    name = "frame,column,row,column,row,metres"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Return the scale bar."""
+        from slamcli.run.stitch.options import ScaleBar
+
+        if isinstance(value, ScaleBar):
+            return value
+        frame, *words = value.rsplit(",", 5)
+        try:
+            numbers = [float(word) for word in words]
+        except ValueError:
+            numbers = []
+        if len(numbers) != 5 or not all(map(math.isfinite, numbers)) or not numbers[4] > 0.0:
+            self.fail(f"{quoted(value)} is not {self.name}", param, ctx)
+        if numbers[:2] == numbers[2:4]:
+            self.fail(f"{quoted(value)}: the two pixels are one", param, ctx)
+        first, second = (numbers[0], numbers[1]), (numbers[2], numbers[3])
+        return ScaleBar(frame, first, second, numbers[4])
+
+    def text(self, value: Any) -> str:
+        """Return the bar as `convert` takes it."""
+        ends = ",".join(f"{number:g}" for number in (*value.first, *value.second, value.metres))
+        return f"{value.frame},{ends}"
+
+
 class Gamma(Value):
     """How a picture encodes light: srgb, linear, or the exponent of a power."""
 

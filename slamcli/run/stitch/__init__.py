@@ -27,6 +27,7 @@ from slamcli.run.session.session import Session
 from slamcli.run.stitch import exports, oblique, on_earth, report, resume, survey
 from slamcli.run.stitch.debug_drawings import draw_trials
 from slamcli.run.stitch.drive import Drive, LocatedDrive, open_drive
+from slamcli.run.stitch.ground_scale import read_control, with_metres
 from slamcli.run.stitch.options import StitchOptions
 from slamcli.run.stitch.timing import TIMING_NAME, Timing
 from slamcli.run.telemetry import TelemetryFiles, feed_shifted
@@ -72,6 +73,7 @@ def stitch(
     """
     timing = Timing()
     drive = open_drive(sources, calibration_path, options, telemetry or TelemetryFiles(), session)
+    control = read_control(options, drive.inputs.files)
     with (
         session.interruption.on_signals(),
         locked_folder(output),
@@ -87,7 +89,8 @@ def stitch(
             timing.done("opening")
             located = locate_frames(drive, checkpoint, session)
             timing.done("locating")
-            located = on_earth.on_earth(self_calibrate(located, session))
+            located = with_metres(self_calibrate(located, session), control)
+            located = on_earth.on_earth(located)
             timing.done("self_calibrating")
             painted = paint(located, staging, checkpoint, session)
             timing.done("painting")

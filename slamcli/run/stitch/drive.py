@@ -56,7 +56,7 @@ class Drive:
     def paths(self) -> list[Path]:
         """All files that are read."""
         files, networks = self.telemetry_files, self.options.networks
-        others = (files.odometry, files.compass, files.gps, *networks.paths)
+        others = (files.odometry, files.compass, files.gps, self.options.control, *networks.paths)
         extended = self.options.extend
         found = [*others, None if extended is None else map_path(extended)]
         return [*self.inputs.paths, *(path for path in found if path is not None)]
@@ -95,6 +95,8 @@ class LocatedDrive:
         Of frames without a calibration that were located as a survey.
     on_earth : dict of int to Georeference
         Where a survey's maps lie, by the GPS of its photos.
+    scale_rows : tuple of (str, str)
+        How a map without a calibration got its metres.
     """
 
     drive: Drive
@@ -107,6 +109,7 @@ class LocatedDrive:
     camera_note: str = ""
     survey: SurveyFacts | None = None
     on_earth: dict[int, Georeference] = field(default_factory=dict)
+    scale_rows: tuple[tuple[str, str], ...] = ()
 
     @property
     def calibration(self) -> Calibration:

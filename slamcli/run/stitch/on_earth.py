@@ -65,7 +65,11 @@ def on_earth(located: LocatedDrive) -> LocatedDrive:
         if scale.ground is not None and datum is not None:
             turns[fragment] = scale.ground.east_north_from_map.theta
             georeferences[fragment] = _georeference(scale.ground, datum, turns[fragment])
-    registered = _in_metres(_turned(located.registered, turns), scales, first)
+    registered = in_metres(
+        _turned(located.registered, turns),
+        {fragment: scale.metres_per_unit for fragment, scale in scales.items()},
+        first,
+    )
     found = replace(located, registered=registered, on_earth=georeferences)
     return _with_row(found, *_described(scales, infos, located))
 
@@ -132,8 +136,8 @@ def _turned(registered: RegisteredDrive, turns: Mapping[int, float]) -> Register
     return replace(registered, estimates=estimates)
 
 
-def _in_metres(
-    registered: RegisteredDrive, scales: Mapping[int, _Scale], first: float
+def in_metres(
+    registered: RegisteredDrive, metres_per_unit: Mapping[int, float], first: float
 ) -> RegisteredDrive:
     """Return a survey in metres; a fragment without a scale of its own has the first one's."""
     camera = registered.calibration
@@ -145,10 +149,7 @@ def _in_metres(
         robot_from_image=stretch @ camera.robot_from_image,
         max_range_metres=first * camera.max_range_metres,
     )
-    scale_of = {
-        one.index: scales[one.fragment].metres_per_unit if one.fragment in scales else first
-        for one in registered.estimates
-    }
+    scale_of = {one.index: metres_per_unit.get(one.fragment, first) for one in registered.estimates}
     estimates = [_scaled(one, scale_of[one.index], first, focal) for one in registered.estimates]
     links = [_scaled_link(link, scale_of[link.a]) for link in registered.links]
     floor_map = registered.floor_map

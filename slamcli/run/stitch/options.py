@@ -15,6 +15,16 @@ SelfCalibrate = Literal["auto", "always", "never"]
 
 
 @dataclass(frozen=True, slots=True)
+class ScaleBar:
+    """Two pixels of a frame, column and row, and their distance on the floor."""
+
+    frame: str
+    first: tuple[float, float]
+    second: tuple[float, float]
+    metres: float
+
+
+@dataclass(frozen=True, slots=True)
 class StitchOptions:
     """Options of `slam stitch`; run.toml lists them.
 
@@ -35,7 +45,10 @@ class StitchOptions:
         How a camera without a calibration is carried: ``rigid`` holds it to three degrees of
         freedom, ``free`` to six; ``auto`` finds out.
     height_metres : float or None
-        Of a camera without a calibration that looks ahead; None leaves it the unit of length.
+        Of a camera without a calibration; None leaves the unit of length to the frames.
+    scale : ScaleBar or None
+    control : Path or None
+        Control points, which give frames from above without a calibration their metres.
     self_calibrate : str
         Refine the camera by the frames, where they determine it: ``always``, ``never`` or, where
         they contradict the calibration, ``auto``.
@@ -60,6 +73,8 @@ class StitchOptions:
     selection: FrameSelection = field(default_factory=FrameSelection)
     mount: Mount = "auto"
     height_metres: float | None = None
+    scale: ScaleBar | None = None
+    control: Path | None = None
     self_calibrate: SelfCalibrate = "auto"
     debug: bool = False
     export: tuple[str, ...] = ()

@@ -106,11 +106,12 @@ def finished(located: LocatedDrive, painted: PaintedMaps, command: str) -> Finis
 
 def _use_rows(located: LocatedDrive) -> list[tuple[str, str]]:
     """Return rows on what a map of this kind can be used for."""
-    rows, method = [], located.mapper.options.features.method
+    rows, method = list(located.scale_rows), located.mapper.options.features.method
     if method in LEARNED:
         rows.append(("map.slam", f"to render; slam locate and --extend do not take {method}"))
     if located.survey is not None:
         rows += located.survey.rows
+    if located.survey is not None or located.scale_rows:
         rows.append(("map.slam", "to render; slam locate and --extend do not take surveys"))
     return rows
 
