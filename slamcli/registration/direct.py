@@ -99,7 +99,8 @@ def track(
         fit = score_refined(pair, refined)
         if context.check_rivals(pair, fit):
             return None
-    return replace(context.result(fit, ACCEPTED), prepared=prepared)
+    result = context.result(fit, ACCEPTED)
+    return None if result.link is None else replace(result, prepared=prepared)
 
 
 def _explains_all(context: PairContext, fit: MotionHypothesis) -> bool:
