@@ -154,11 +154,18 @@ def _check_correlation(
     )
 
 
-def check_score(score: float, options: MapperOptions) -> str:
-    """Return why a motion is not accepted that is likely to be wrong."""
-    if score >= options.min_score:
-        return ""
-    return f"the score is {score:.2f}; at least {options.min_score:.2f} is needed"
+def check_score(score: float, options: MapperOptions, *, supported: bool = True) -> str:
+    """Return why a motion is not accepted that is likely to be wrong.
+
+    Parameters
+    ----------
+    score : float
+    options : MapperOptions
+    supported : bool
+        Whether features agree with it, or the prior expects it.
+    """
+    least = options.min_score if supported else max(options.min_score, options.min_score_alone)
+    return "" if score >= least else f"the score is {score:.2f}; at least {least:.2f} is needed"
 
 
 def _min_confirmed(*, backed: bool) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
@@ -19,6 +19,12 @@ from slamcli.stages import dense
 # Share of the smaller view below which an expected motion cannot be compared by the pixels
 # [guarded by benchmarks/tiles.py: 0.45 and 0.60 m, links to earlier keyframes].
 _MIN_EXPECTED_OVERLAP = 0.2
+# Share of the camera's range up to which the sigma of what is expected supports a motion; the free
+# motion of a step, before a robot's steadiness is known, does not
+# [guarded by benchmarks/courses.py].
+_MAX_SUPPORTING_SHARE = 0.1
+# [guarded by benchmarks/robustness.py: rocking on asphalt].
+_SIGMA_FACTOR_OF_FEATURES = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +146,12 @@ class PairContext:
         return kept
 
     def _check_observable(self, fit: MotionHypothesis) -> str:
-        return acceptance.check_observable(fit, self.calibration.max_range_metres, self.options)
+        # Over a floor of many features a camera that rocks leaves a motion less certain, not wrong.
+        share = self.options.max_sigma_share
+        if acceptance.backed_by_features(self.alignment, self.options):
+            share *= _SIGMA_FACTOR_OF_FEATURES
+        options = replace(self.options, max_sigma_share=share)
+        return acceptance.check_observable(fit, self.calibration.max_range_metres, options)
 
     def _rival(
         self, pair: PyramidPair, best: MotionHypothesis, others: Sequence[MotionHypothesis]
@@ -255,7 +266,9 @@ class PairContext:
             inliers = self.alignment.inlier_count if math.isnan(rival) else 0
             score = confidence.score(evidence)
             if verdict.outcome in ("accepted", "partial"):
-                rejection = acceptance.check_score(score, self.options)
+                rejection = acceptance.check_score(
+                    score, self.options, supported=math.isnan(rival) or self._is_supported(fit)
+                )
                 verdict = Verdict.of(rejection) if rejection else verdict
             frames = self.keyframe.index, self.prepared.index
             if verdict.outcome == "accepted":
@@ -274,6 +287,15 @@ class PairContext:
             rival,
             search,
             partial,
+        )
+
+    def _is_supported(self, fit: MotionHypothesis) -> bool:
+        """Return whether many features back a motion, or what is known beforehand expects it."""
+        return acceptance.backed_by_features(self.alignment, self.options) or (
+            self.prior is not None
+            and rivals.is_expected(self.prior, fit.pose)
+            and math.sqrt(self.prior.covariance[:2, :2].max())
+            <= _MAX_SUPPORTING_SHARE * self.calibration.max_range_metres
         )
 
     def _evidence(self, fit: MotionHypothesis, verdict: Verdict, rival: float) -> Float64Array:

@@ -14,7 +14,14 @@ from slamcli.core.config import MapperOptions
 from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import FeatureAlignment, Features, PreparedFrame
-from slamcli.registration import RegistrationResult, hypotheses, refinement, register, rivals
+from slamcli.registration import (
+    RegistrationResult,
+    confidence,
+    hypotheses,
+    refinement,
+    register,
+    rivals,
+)
 from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair
 from slamcli.simulation import photograph
 from slamcli.simulation.config import CameraOptions
@@ -29,6 +36,8 @@ NO_FEATURES = Features(
     np.empty(0, np.float32),
     np.empty(0, np.float32),
 )
+# The steps are what is tested, not the scores of fits that are made by hand.
+ANY_SCORE = MapperOptions(min_score=0.0, min_score_alone=0.0)
 HERE, GUESS, THERE = Pose2(0.05), Pose2(0.3), Pose2(0.5)
 WINDOW = dense.SearchWindow(HERE, 0.5, 0.2)
 FOUND = dense.Search((), np.zeros((1, 1), np.float32), 0.04)
@@ -128,7 +137,7 @@ def registered(
         frame_of(1, far=far, repeats=repeats),
         guess,
         CALIBRATION,
-        MapperOptions() if options is None else options,
+        ANY_SCORE if options is None else options,
         window=window,
         prior=None if expected is None else dense.MotionPrior(expected, np.eye(3)),
     )
@@ -170,7 +179,7 @@ def test_without_pixels_features_that_a_gate_contradicts_are_rejected(scripted: 
 
 def test_without_pixels_a_motion_that_no_robot_makes_is_no_fit(scripted: Scripted) -> None:
     scripted(120, DISSIMILAR)
-    result = registered(options=MapperOptions(max_step_metres=0.04))
+    result = registered(options=replace(ANY_SCORE, max_step_metres=0.04))
     assert (result.link, result.fit) == (None, None)
 
 
@@ -238,7 +247,7 @@ def test_in_a_window_the_pixels_are_searched_where_features_do_not_convince(
 ) -> None:
     found = fit_of(THERE, evidence=200.0)
     steps = scripted(inliers, by_features, near=[found])
-    result = registered(window=WINDOW, options=MapperOptions(max_step_metres=0.6), far=True)
+    result = registered(window=WINDOW, options=replace(ANY_SCORE, max_step_metres=0.6), far=True)
     assert result.link is not None
     assert result.fit is found
     assert result.search is FOUND
@@ -255,7 +264,7 @@ def test_many_features_that_a_gate_contradicts_leave_it_to_the_pixels(scripted: 
 def test_a_search_competes_with_no_motion_that_no_robot_makes(scripted: Scripted) -> None:
     found, farther = fit_of(HERE), fit_of(THERE, correlation=0.4, confirmed=0.34, evidence=500.0)
     scripted(50, farther, near=[found])
-    result = registered(window=WINDOW, options=MapperOptions(max_step_metres=0.1))
+    result = registered(window=WINDOW, options=replace(ANY_SCORE, max_step_metres=0.1))
     assert result.link is not None
     assert result.fit is found
 
@@ -329,4 +338,5 @@ def test_how_far_was_searched_is_evidence_against_a_motion(
     scripted(20, None, near=[fit_of(HERE)], near_guess=fit_of(HERE))
     result = registered(guess, replace(WINDOW, radius_metres=radius))
     assert result.evidence is not None
-    assert result.evidence[-1] == min(share / CALIBRATION.max_range_metres, 1.0)
+    far_and_wide = result.evidence[confidence.EVIDENCE.index("searched far and wide")]
+    assert far_and_wide == min(share / CALIBRATION.max_range_metres, 1.0)

@@ -13,7 +13,7 @@ from hand_made_records import alignment_of, fit_of, frame_of, pair_of
 from slamcli.core.arrays import Float64Array
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2
-from slamcli.registration import hypotheses, rivals
+from slamcli.registration import confidence, hypotheses, rivals
 from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair
 from slamcli.registration.result import ACCEPTED, RegistrationResult, Verdict
 from slamcli.registration.selection import PairContext
@@ -314,3 +314,33 @@ def test_a_motion_that_explains_much_more_is_chosen_over_a_wider_overlap() -> No
     assert chosen(context, grid, strip).fit is grid
     agreed = replace(grid, agreement=replace(grid.agreement, confirmed=0.7))
     assert chosen(context, agreed, writing).fit is agreed
+
+
+def test_a_motion_that_nothing_supports_needs_a_high_score(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Neither many features nor a prior: bare lines that fit elsewhere had scores up to 0.87."""
+    scores = [0.89]
+    monkeypatch.setattr(confidence, "score", lambda evidence: scores[0])
+
+    def result(inliers: int, expected: Pose2 | None = None, sigma: float = 0.01) -> str:
+        prior = None if expected is None else dense.MotionPrior(expected, sigma**2 * np.eye(3))
+        context = replace(context_of(inliers), prior=prior)
+        return context.result(fit_of(HERE), ACCEPTED, 0.2).reason
+
+    assert result(35) == "the score is 0.89; at least 0.90 is needed (to frame 3)"
+    assert result(36) == ""
+    assert result(0, HERE) == ""
+    assert result(0, ELSEWHERE) != ""
+    # What is expected within the free motion of a step supports nothing.
+    assert result(0, HERE, sigma=0.11 * CALIBRATION.max_range_metres) != ""
+    scores[0] = 0.9
+    assert result(0) == ""
+
+
+def test_a_motion_over_many_features_may_be_less_certain() -> None:
+    """A camera that rocks over asphalt."""
+    sigma = 0.01 * CALIBRATION.max_range_metres
+    fit = fit_of(HERE, sigmas=(0.001, sigma, 0.001))
+    assert context_of(35)._check_observable(fit) != ""
+    assert context_of(36)._check_observable(fit) == ""

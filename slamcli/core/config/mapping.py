@@ -28,6 +28,9 @@ class MapperOptions:
         same again after a quarter or half turn.
     min_score : float
         Smallest probability that a motion is right for it to be accepted, in [0, 1].
+    min_score_alone : float
+        The same where neither many features nor what is known beforehand support the motion
+        [benchmarks/courses.py: wrong ones to 0.87, right ones from 0.93 on].
     min_correlation : float
         Smallest correlation of the overlap's pixels for a fit to be accepted, in [-1, 1].
     tilt_sigma_degrees : float
@@ -68,6 +71,7 @@ class MapperOptions:
     max_turn_degrees: float = 75.0
     # Right motions over a bare floor under noise score 0.3 to 0.5 [benchmarks/score.py: bare 1].
     min_score: float = 0.25
+    min_score_alone: float = 0.9
     min_correlation: float = 0.3
     tilt_sigma_degrees: float = 0.1
     refine: bool = True
