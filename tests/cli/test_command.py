@@ -187,7 +187,7 @@ def test_messages_are_logged_with_their_times(calls: Calls, tmp_path: Path) -> N
         assert run("warp", "frames", "--log-file", str(log)).exit_code == 0
     lines = log.read_text().splitlines()
     assert len(lines) == 4
-    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d slam .*", lines[0])
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d slam.*", lines[0])
     assert lines[1].endswith(" a line")
     other = tmp_path / "notes.txt"
     other.write_text("mine")

@@ -86,6 +86,8 @@ class PaintedMaps:
         Of the floor seen, over all maps.
     unread : tuple of str
         Names of frames that have a pose but could not be read again.
+    unshown : tuple of str
+        Names of such frames that report.html shows no picture of.
     overviews : tuple of Overview or None
         Of the maps, in their order; None for one of which nothing was seen.
     """
@@ -93,14 +95,17 @@ class PaintedMaps:
     area_square_metres: float
     unread: tuple[str, ...]
     overviews: tuple[Overview | None, ...] = ()
+    unshown: tuple[str, ...] = ()
 
     @property
     def note(self) -> str:
-        """The line for the user that names the frames which could not be read again."""
-        return (
-            f"incomplete: {counted(self.unread)} not painted: vanished or changed since they were "
-            "located"
-        )
+        """The line for the user that names the frames which could not be read again, or ""."""
+        gone = "vanished or changed since they were located"
+        if self.unread:
+            return f"incomplete: {counted(self.unread)} not painted: {gone}"
+        if self.unshown:
+            return f"incomplete: {counted(self.unshown)} not shown in report.html: {gone}"
+        return ""
 
 
 def write_maps(

@@ -16,8 +16,15 @@ from slamcli.run.session.session import Session
 REPORT_NAME = "report.html"
 
 
-def write_report(folder: Path, run: FinishedRun, session: Session) -> None:
-    """Write report.html: the same bytes for any number of workers."""
+def write_report(folder: Path, run: FinishedRun, session: Session) -> tuple[str, ...]:
+    """Write report.html, the same bytes for any number of workers.
+
+    Returns
+    -------
+    tuple of str
+        Names of frames that have a pose but could not be read again.
+    """
+    pictures, unread = frame_pictures(run.files, run.estimates, session)
     page.write_page(
         folder / REPORT_NAME,
         {
@@ -29,9 +36,10 @@ def write_report(folder: Path, run: FinishedRun, session: Session) -> None:
             "maps": map_list(run),
             "frames": frame_table(run),
             "links": link_table(run),
-            "pictures": frame_pictures(run.files, run.estimates, session),
+            "pictures": pictures,
             "lost": lost_groups(run.estimates),
             "sensors": sensor_agreement(run),
             "camera": camera_table(run),
         },
     )
+    return unread

@@ -39,16 +39,21 @@ def shrunk(image: UInt8Array, side: int) -> UInt8Array:
 
 def frame_pictures(
     files: Sequence[FrameFile], estimates: Sequence[PoseEstimate], session: Session
-) -> dict[str, str]:
+) -> tuple[dict[str, str], tuple[str, ...]]:
     """Return data URLs by frame index: of all frames, or of many evenly spread ones.
 
-    What cannot be read again has none.
+    What cannot be read again has none; the names of those that were read before follow.
     """
     chosen = _chosen(files, estimates)
     side = next(side for count, side in _SIDES if len(chosen) <= count)
     stage = session.on_this_machine().stage("reporting", partial(_picture, side=side), chosen)
-    found = zip(chosen, stage, strict=True)
-    return {str(file.index): url for file, url in found if url}
+    urls = dict(zip((file.index for file in chosen), stage, strict=True))
+    unread = tuple(
+        file.name
+        for file in chosen
+        if not urls[file.index] and estimates[file.index].status == "tracked"
+    )
+    return {str(index): url for index, url in urls.items() if url}, unread
 
 
 def _chosen(files: Sequence[FrameFile], estimates: Sequence[PoseEstimate]) -> list[FrameFile]:

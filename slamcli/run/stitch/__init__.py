@@ -96,10 +96,11 @@ def stitch(
             timing.done("painting")
             write(located, staging, checkpoint, session)
             timing.done("writing")
-            write_report(staging, report.finished(located, painted, command), session)
+            shown = write_report(staging, report.finished(located, painted, command), session)
+            painted = replace(painted, unshown=shown)
             timing.done("reporting")
             timing.write(staging / TIMING_NAME, located.reached, session)
-            if session.interruption.happened or painted.unread or located.vanished:
+            if session.interruption.happened or painted.note or located.vanished:
                 checkpoint.keep()
     interrupted = session.interruption.happened
     return report.report(located, painted, output, timing.seconds, interrupted=interrupted)

@@ -40,9 +40,9 @@ def report(
         lines.append(f"incomplete: {len(placed)} of {len(estimates)} placed")
     if located.vanished:
         lines.append(f"incomplete: {counted(located.vanished)} vanished before being located")
-    if painted.unread:
+    if painted.note:
         lines.append(painted.note)
-    if located.vanished or painted.unread:
+    if located.vanished or painted.note:
         code = ExitCode.INCOMPLETE if code == ExitCode.DONE else code
         lines.append("put them back, and --resume continues from what was located before")
     rows = [

@@ -126,8 +126,8 @@ def test_pictures_are_smaller_the_more_there_are(
         PoseEstimate(n, "", None, pose, "tracked" if pose else "lost")
         for n, pose in enumerate(poses)
     ]
-    few = pictures.frame_pictures(files[:4], estimates, Session())
-    many = pictures.frame_pictures(files, estimates, Session())
+    few, _ = pictures.frame_pictures(files[:4], estimates, Session())
+    many, _ = pictures.frame_pictures(files, estimates, Session())
     assert len(many) <= 8
     assert {"5", "6", "20"} <= set(many)
     assert len(few) == 4
