@@ -290,7 +290,9 @@ class PairContext:
         )
 
     def _is_supported(self, fit: MotionHypothesis) -> bool:
-        """Return whether many features back a motion, or what is known beforehand expects it."""
+        """Return whether patches or many features support a motion, or the prior expects it."""
+        if not math.isnan(fit.agreement.confirmed):
+            return True
         return acceptance.backed_by_features(self.alignment, self.options) or (
             self.prior is not None
             and rivals.is_expected(self.prior, fit.pose)

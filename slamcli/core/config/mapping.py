@@ -29,8 +29,9 @@ class MapperOptions:
     min_score : float
         Smallest probability that a motion is right for it to be accepted, in [0, 1].
     min_score_alone : float
-        The same where neither many features nor what is known beforehand support the motion
-        [benchmarks/courses.py: wrong ones to 0.87, right ones from 0.93 on].
+        The same where too few patches are informative, and neither many features nor what is known
+        beforehand support the motion
+        [benchmarks/courses.py: wrong ones to 0.83, right ones from 0.87 on].
     min_correlation : float
         Smallest correlation of the overlap's pixels for a fit to be accepted, in [-1, 1].
     tilt_sigma_degrees : float
