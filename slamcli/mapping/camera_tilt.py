@@ -14,7 +14,7 @@ import numpy as np
 
 from slamcli.core.config import MapperOptions
 from slamcli.mapping.tracking_state import TrackingState
-from slamcli.registration import RegistrationResult
+from slamcli.registration import RegistrationResult, acceptance
 
 # What a drive has shown counts from this many links on, of the latest few.
 _MIN_LINKS = 4
@@ -25,15 +25,12 @@ _MAX_LINKS = 20
 _SIGMAS_OF_MEDIAN = 1.5
 _MAX_SIGMAS = 3.0
 _LEAST_SHARE = 1.0 / 3.0
-# This many times the required inliers support a tilt before the drive has shown any
-# [benchmarks/robustness.py: rocking on bare, 77 and more; benchmarks/courses.py: walls, to 34].
-_SUPPORT_FACTOR = 3
 
 
 def add_link(result: RegistrationResult, tracking: TrackingState, options: MapperOptions) -> None:
-    """Keep the tilt of an accepted link, if features support it or it needs none."""
+    """Keep the tilt of an accepted link, if many features back it or it needs none."""
     assert result.fit is not None
-    if not result.fit.includes_rocking or _is_supported(result, options):
+    if not result.fit.includes_rocking or acceptance.backed_by_features(result.alignment, options):
         tracking.tilts_radians.append(result.fit.tilt_radians)
         del tracking.tilts_radians[:-_MAX_LINKS]
 
@@ -53,13 +50,15 @@ def without_unusual(
     fit = result.fit
     if fit is None or (result.link is None and result.partial is None):
         return result
-    if result.alignment.inlier_count >= options.convincing_inliers:
+    if acceptance.enough_inliers(result.alignment, options):
         return result
     sigma = math.radians(options.tilt_sigma_degrees)
     if len(tilts_radians) >= _MIN_LINKS:
         shown = _SIGMAS_OF_MEDIAN * float(np.median(tilts_radians))
         sigma = max(_LEAST_SHARE * sigma, shown)
-    elif _is_supported(result, options):
+    elif acceptance.backed_by_features(result.alignment, options):
+        # Rocking on bare floors has 77 inliers and more, walls up to 34
+        # [benchmarks/robustness.py, benchmarks/courses.py].
         return result
     if fit.tilt_radians <= _MAX_SIGMAS * sigma:
         return result
@@ -68,7 +67,3 @@ def without_unusual(
         f"too few features support that (to {result.keyframe.name})"
     )
     return replace(result, link=None, partial=None, reason=reason)
-
-
-def _is_supported(result: RegistrationResult, options: MapperOptions) -> bool:
-    return result.alignment.inlier_count >= _SUPPORT_FACTOR * options.matching.min_inliers

@@ -100,6 +100,12 @@ class Mapper:
             return with_calibration_error(self._graph, self.sensors, self.calibration)
 
     @property
+    def frame_count(self) -> int:
+        """Number of frames so far, placed or not."""
+        with self._lock:
+            return len(self._graph.order)
+
+    @property
     def links(self) -> list[Link]:
         """Every measured motion between two frames, in the order of insertion."""
         with self._lock:

@@ -46,7 +46,7 @@ def run_mapper(
     before_step : function
         Called with each frame when the mapper has seen only those before it.
     """
-    first = len(mapper.estimates)
+    first = mapper.frame_count
     kept = None if session.scheduler else thumbnails
     work = partial(read_and_prepare, mapper.prepare, thumbnails=kept)
     for done, prepared in enumerate(session.ordered(work, files[first:]), start=first + 1):

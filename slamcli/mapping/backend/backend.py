@@ -197,10 +197,9 @@ class Backend:
                 alone = "overlaps no other frame" if ends.isdisjoint(component) else CONTRADICTED
                 self._lose(component, alone)
         connected = optimizer.merge_by_gps(connected)
-        for component in connected[1:]:
-            if not self._moves(component):
-                self._lose(component, "what it shows stays where it is: it moves with the camera")
-        connected = [*connected[:1], *filter(self._moves, connected[1:])]
+        for component in [one for one in connected[1:] if not self._moves(one)]:
+            self._lose(component, "what it shows stays where it is: it moves with the camera")
+            connected.remove(component)
         connected.sort(key=lambda component: (-len(component), min(component)))
         self.sensors.gps_fault = ""
         graph.clear_solution()

@@ -113,7 +113,7 @@ def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> Loc
     top-down mount, or when that leaves frames or maps apart and a survey connects more.
     """
     may_be_survey = survey.may_be_survey(drive)
-    if may_be_survey and not drive.mapper.estimates:
+    if may_be_survey and not drive.mapper.frame_count:
         found = survey.probe(drive.inputs.files, session)
         flown = on_earth.geotagged(drive.inputs.files)
         if found.free or found.apart or flown or drive.options.mount == "free":
@@ -218,7 +218,7 @@ def _track_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> Loc
         _locate(drive, files, thumbnails, vanished, checkpoint, session)
     except InputError:
         # The cluster is lost; what it located is not.
-        if mapper.estimates and not vanished:
+        if mapper.frame_count and not vanished:
             resume.save(mapper, files, checkpoint)
         raise
     _refuse_contradiction(drive, checkpoint)
@@ -256,7 +256,7 @@ def _locate(
         file = files[prepared.index]
         if not prepared.digest and file.index not in missing and not file.path.exists():
             # Of the frames before it: a resumed run goes on with this one.
-            if not vanished and mapper.estimates:
+            if not vanished and mapper.frame_count:
                 resume.save(mapper, files, checkpoint)
             vanished.append(file.name)
 

@@ -94,7 +94,7 @@ def resume(drive: Drive, checkpoint: Checkpoint, session: Session) -> Drive:
         raise InputError(
             f"the state in {checkpoint.folder} is of no use ({error}); --overwrite to begin anew"
         ) from error
-    located = len(drive.mapper.estimates)
+    located = drive.mapper.frame_count
     session.notify(f"resumed: {located} of {len(files)} frames had been located")
     return replace(drive, inputs=replace(drive.inputs, files=files))
 
@@ -106,7 +106,7 @@ def tiles(options: StitchOptions, checkpoint: Checkpoint) -> Path:
 
 def save(mapper: Mapper, files: Sequence[FrameFile], checkpoint: Checkpoint) -> None:
     """Save a mapper's state after some of all frames; raises OutputError."""
-    located = len(mapper.estimates)
+    located = mapper.frame_count
     digests = [file.digest for file in files[:located]]
     columns = to_columns(_State, _State(mapper.state(), digests))
     checkpoint.save(columns, located, len(files))
