@@ -131,8 +131,8 @@ class Locator:
                 return result.link
         for index, expected in nearest[:1]:
             prior = dense.MotionPrior(expected, covariance)
-            found = self._relocalizer.register(index, prepared, expected, prior)
-            if self._relocalizer.is_reliable(found) and found.link is not None:
+            found = self._relocalizer.register_reliably(index, prepared, expected, prior)
+            if found is not None and found.link is not None:
                 return found.link if is_expected(prior, found.link.a_from_b) else None
         return None
 

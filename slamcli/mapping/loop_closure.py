@@ -232,18 +232,17 @@ class LoopCloser:
         prior = dense.MotionPrior(candidate.expected, candidate.covariance)
         try:
             prepared = self._database.decode(candidate.b)
-            unexpected = not self._near(candidate.expected, candidate.guess)
-            result = None if unexpected else self._relocalizer.track(candidate.a, prepared, prior)
+            register = self._relocalizer.register_reliably
+            result = None
+            if self._near(candidate.expected, candidate.guess):
+                register = self._relocalizer.register
+                result = self._relocalizer.track(candidate.a, prepared, prior)
             if result is None:
-                result = self._relocalizer.register(candidate.a, prepared, candidate.guess, prior)
+                result = register(candidate.a, prepared, candidate.guess, prior)
         except FrameError:  # the keyframe's pictures, from a damaged map
             self._failed[pair] = candidate.guess
             return None
-        if (
-            result.link is None
-            or (unexpected and not self._relocalizer.is_reliable(result))
-            or _contradicts_poses(candidate, result.link)
-        ):
+        if result is None or result.link is None or _contradicts_poses(candidate, result.link):
             self._failed[pair] = candidate.guess
             return None
         return result.link

@@ -19,7 +19,12 @@ from slamcli.core.records import Features, Link, PreparedFrame
 from slamcli.mapping import camera_tilt
 from slamcli.mapping.backend.pose_graph import PoseGraphReader
 from slamcli.mapping.keyframes import KeyframeDatabase
-from slamcli.registration import RegistrationResult, direct, register
+from slamcli.registration import (
+    RegistrationResult,
+    direct,
+    register,
+    register_where_features_agree,
+)
 from slamcli.stages import dense
 from slamcli.stages.place_index import PlaceCandidate
 
@@ -96,11 +101,35 @@ class Relocalizer:
     ) -> RegistrationResult:
         """Register a frame to a keyframe near a guess; a link is of kind ``loop``."""
         keyframe = self.database.decode(a)
-        result = camera_tilt.without_unusual(
-            register(keyframe, prepared, guess, self._calibration, self._options, prior=prior),
-            [],
-            self._options,
+        return self._checked(
+            register(keyframe, prepared, guess, self._calibration, self._options, prior=prior)
         )
+
+    def register_reliably(
+        self,
+        a: int,
+        prepared: PreparedFrame,
+        guess: Pose2,
+        prior: dense.MotionPrior | None = None,
+    ) -> RegistrationResult | None:
+        """Register as `register` does; None unless the link is accepted without any pose prior."""
+        result = register_where_features_agree(
+            self.database.decode(a),
+            prepared,
+            guess,
+            self._calibration,
+            self._options,
+            _MIN_INLIERS_FACTOR * self._options.matching.min_inliers,
+            prior,
+        )
+        if result is None or not result.correlation >= _MIN_CORRELATION:
+            return None
+        result = self._checked(result)
+        return None if result.link is None else result
+
+    def _checked(self, result: RegistrationResult) -> RegistrationResult:
+        """Return a result as a loop, without its link where much of the floor does not agree."""
+        result = camera_tilt.without_unusual(result, [], self._options)
         if result.link is None:
             return result
         # Boards of one print lie beside boards that differ: most of the floor must be the same.
@@ -108,7 +137,7 @@ class Relocalizer:
         share = result.correlation if math.isnan(result.confirmed) else result.confirmed
         many = result.alignment.inlier_count >= self._options.convincing_inliers
         if share < (_MIN_CONFIRMED_BY_MANY if many else _MIN_CONFIRMED):
-            reason = f"only {share:.0%} of the floor is unchanged (to {keyframe.name})"
+            reason = f"only {share:.0%} of the floor is unchanged (to {result.keyframe.name})"
             return replace(result, link=None, reason=reason)
         return replace(result, link=replace(result.link, kind="loop"))
 
@@ -122,16 +151,6 @@ class Relocalizer:
         if result is None or result.link is None or result.confirmed < _MIN_CONFIRMED:
             return None
         return replace(result, link=replace(result.link, kind="loop"))
-
-    def is_reliable(self, result: RegistrationResult) -> bool:
-        """Return whether a registration is accepted without any pose prior."""
-        needed = _MIN_INLIERS_FACTOR * self._options.matching.min_inliers
-        return (
-            result.link is not None
-            and result.alignment.accepted
-            and result.alignment.inlier_count >= needed
-            and result.correlation >= _MIN_CORRELATION
-        )
 
     def verify(
         self,
@@ -171,10 +190,12 @@ class Relocalizer:
     ) -> RegistrationResult | None:
         for candidate in place[:_MAX_KEYFRAMES_OF_A_PLACE]:
             try:
-                result = self.register(candidate.keyframe, prepared, candidate.keyframe_from_now)
+                result = self.register_reliably(
+                    candidate.keyframe, prepared, candidate.keyframe_from_now
+                )
             except FrameError:  # the keyframe's pictures, from a damaged map
                 continue
-            if self.is_reliable(result):
+            if result is not None:
                 return result
         return None
 

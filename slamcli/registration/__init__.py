@@ -22,7 +22,7 @@ from slamcli.registration.result import INCONCLUSIVE, RegistrationResult, Verdic
 from slamcli.registration.selection import PairContext
 from slamcli.stages import align, dense
 
-__all__ = ["RegistrationResult", "register"]
+__all__ = ["RegistrationResult", "register", "register_where_features_agree"]
 
 # How far from a guess matches are looked for, as a share of how far the camera sees
 # [guarded by benchmarks/robustness.py: plain chains lose tiles to matches from afar].
@@ -65,8 +65,37 @@ def register(
         context = make(prior.a_from_b)
         if (result := _accept_many_features(context, near)) is not None:
             return result
-    context = make(guess)
-    if not options.dense or (window is None and guess is None):
+    return _register_matched(make(guess), near, guess, window)
+
+
+def register_where_features_agree(
+    keyframe: PreparedFrame,
+    prepared: PreparedFrame,
+    guess: Pose2,
+    calibration: Calibration,
+    options: MapperOptions,
+    min_inliers: int,
+    prior: dense.MotionPrior | None = None,
+) -> RegistrationResult | None:
+    """Return what `register` does near a guess; None where fewer features agree with a motion.
+
+    Where features must agree anyhow, the pixels need not be refined without them.
+    """
+    context = _match(keyframe, prepared, calibration, options, 0.0, prior, guess)
+    if not context.alignment.accepted or context.alignment.inlier_count < min_inliers:
+        return None
+    near = PyramidPair(keyframe.levels, prepared.levels)
+    return _register_matched(context, near, guess, None)
+
+
+def _register_matched(
+    context: PairContext,
+    near: PyramidPair,
+    guess: Pose2 | None,
+    window: dense.SearchWindow | None,
+) -> RegistrationResult:
+    """Return the result of matched frames, by features and pixels."""
+    if not context.options.dense or (window is None and guess is None):
         return _register_by_features(context, near)
     by_features = _refine_features(context, near)
     verdict = _verdict_on_features(context, near, by_features)

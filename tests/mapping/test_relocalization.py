@@ -83,8 +83,10 @@ def test_candidates_that_lead_to_one_place_are_one(
     relocalizer, graph = floor.map({Pose2(): Pose2(), Pose2(0.02): Pose2(0.02)})
     true = {0: Pose2(0.05), 1: Pose2(0.03)}
     candidates = [PlaceCandidate(0, true[0], 9), PlaceCandidate(1, true[1] @ Pose2(0.5), 9)]
-    register = relocalizer.register
-    monkeypatch.setattr(relocalizer, "register", lambda a, now, _: register(a, now, true[a]))
+    register = relocalizer.register_reliably
+    monkeypatch.setattr(
+        relocalizer, "register_reliably", lambda a, now, _: register(a, now, true[a])
+    )
     assert relocalizer.verify(floor.look(Pose2(0.05), 9), candidates, graph).link is not None
 
 
@@ -99,13 +101,19 @@ def test_a_keyframe_without_a_pose_is_no_place(floor: Floor) -> None:
 
 def test_only_a_registration_with_many_inliers_is_reliable(floor: Floor) -> None:
     relocalizer, _ = floor.map({Pose2(): Pose2()})
-    result = relocalizer.register(0, floor.look(Pose2(0.02), 9), Pose2(0.02))
-    assert relocalizer.is_reliable(result)
+    prepared = floor.look(Pose2(0.02), 9)
+    result = relocalizer.register_reliably(0, prepared, Pose2(0.02))
+    by_guess = relocalizer.register(0, prepared, Pose2(0.02))
+    assert result is not None
+    assert result.link is not None
+    assert by_guess.link is not None
+    assert result.link.a_from_b == by_guess.link.a_from_b
     strict = slamcli.MapperOptions(
         matching=slamcli.MatchOptions(min_inliers=result.alignment.inlier_count // 2)
     )
     database = relocalizer.database
-    assert not Relocalizer(floor.camera, strict, database).is_reliable(result)
+    strictly = Relocalizer(floor.camera, strict, database)
+    assert strictly.register_reliably(0, prepared, Pose2(0.02)) is None
 
 
 def test_poses_are_near_within_a_distance_and_an_angle() -> None:
