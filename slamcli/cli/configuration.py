@@ -54,6 +54,8 @@ _RENAMED = {
 }
 # Neighbours of an angle in degrees that are tried, so that radians come back to the last bit.
 _MAX_NEIGHBOURS = 4
+# Characters of an unknown key that is compared with the options' names.
+_MAX_KEY = 60
 
 
 def _use(context: click.Context, _option: click.Parameter, path: Path | None) -> None:
@@ -65,7 +67,9 @@ def _use(context: click.Context, _option: click.Parameter, path: Path | None) ->
         read = _of_run if "options" in tables and "version" in tables else _by_hand
         known = {p.name: p for p in context.command.params if p.name is not None}
         values = read(path, tables, known, context.command.name or "")
-        context.default_map = {name: _text(value, known[name]) for name, value in values.items()}
+        context.default_map = {
+            name: _text(path, value, known[name]) for name, value in values.items()
+        }
 
 
 config_option = section(
@@ -94,12 +98,13 @@ def _by_hand(
     """
     names = {_key(name): p.name for p in known.values() for name in [*p.opts, p.name or ""]}
     found = {}
-    for key, value in {**tables, **tables.get(command, {})}.items():
+    own = tables.get(command)
+    for key, value in {**tables, **(own if isinstance(own, Mapping) else {})}.items():
         if isinstance(value, Mapping):
             continue
         name = names.get(_key(key))
         if name is None:
-            near = get_close_matches(_key(key), names, 1)
+            near = get_close_matches(_key(key)[:_MAX_KEY], names, 1)
             hint = f"; {near[0]} is one" if near else ""
             raise InputError(f"{path}: {quoted(key)} is no option of slam {command}{hint}")
         found[name] = value
@@ -121,7 +126,11 @@ def _of_run(
         When it has a value that no option can give.
     """
     found: dict[str, Any] = {}
-    for section_name, key, value in _rows(tables):
+    try:
+        rows = list(_rows(tables))
+    except (AttributeError, ArithmeticError, LookupError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: an angle or datum is not as a run writes it: {error}") from error
+    for section_name, key, value in rows:
         place = f"{section_name}.{key}".lstrip(".")
         group = _GROUPS.get(section_name)
         name = _RENAMED.get(place, f"{type(group).__name__ if group else 'StitchOptions'}_{key}")
@@ -133,7 +142,8 @@ def _of_run(
         found["time_offset"] = tables["time_offset"]
     # What is None is not in the file; of options with another default it has a word.
     lever = "TelemetryOptions_lever_arm_metres"
-    if lever in known and "telemetry" in tables["options"]:
+    options = tables["options"]
+    if lever in known and isinstance(options, Mapping) and "telemetry" in options:
         found.setdefault(lever, "auto")
     return found
 
@@ -168,11 +178,23 @@ def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _text(value: Any, parameter: click.Parameter) -> Any:
-    """Return a value of the file as the command line would give it."""
+def _text(path: Path, value: Any, parameter: click.Parameter) -> Any:
+    """Return a value of the file as the command line would give it.
+
+    Raises
+    ------
+    InputError
+        When it is a table, a time, or several values where the option takes one.
+    """
+    several = parameter.nargs != 1 or getattr(parameter, "multiple", False)
     if isinstance(value, list) and isinstance(parameter.type, Numbers | Words):
         separator = getattr(parameter.type, "separator", ",")
         return separator.join(str(part) for part in value)
-    if isinstance(parameter.type, Numbers) and not isinstance(value, str):
-        return repr(value)
-    return value
+    if isinstance(value, list) and several and all(isinstance(part, str) for part in value):
+        return value
+    if not isinstance(value, str | int | float):
+        name = _key(max(parameter.opts, key=len))
+        raise InputError(f"{path}: {quoted(value)} is no value of {name}")
+    if isinstance(value, bool) and getattr(parameter, "is_flag", False):
+        return value
+    return [str(value)] if several else str(value)

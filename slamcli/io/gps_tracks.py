@@ -65,7 +65,7 @@ def _of_gpx(path: Path, text: str) -> Iterator[GpsReading]:
             dilution = float(fields.get("hdop") or 1.0)
             place = float(point.get("lat", "nan")), float(point.get("lon", "nan"))
             yield GpsReading(moment.timestamp(), *place, _sigma(dilution))
-    except (ET.ParseError, ValueError, OverflowError) as error:
+    except (ET.ParseError, InputError, ValueError, OverflowError) as error:
         raise InputError(f"{path} is no sound GPX: {' '.join(str(error).split())}") from error
 
 
@@ -98,7 +98,7 @@ def _reading(
 ) -> GpsReading | None:
     """Return a place; None for fields that are not of the form."""
     time = _CLOCK.fullmatch(clock)
-    latitude, longitude = _degrees(place[0], place[1]), _degrees(place[2], place[3])
+    latitude, longitude = _degrees(place[0], place[1], "NS"), _degrees(place[2], place[3], "EW")
     if time is None or latitude is None or longitude is None:
         return None
     day, month, year = date
@@ -112,13 +112,17 @@ def _reading(
         return None
 
 
-def _degrees(text: str, side: str) -> float | None:
-    """Return the degrees of ``4916.45`` and ``N``: 49 degrees, 16.45 minutes north."""
+def _degrees(text: str, side: str, sides: str) -> float | None:
+    """Return the degrees of ``4916.45`` and ``N``: 49 degrees, 16.45 minutes north.
+
+    The second of the two sides is negative; None for another, or for 60 minutes and more.
+    """
     match = _ANGLE.fullmatch(text)
-    if match is None:
+    minutes = 60.0 if match is None else float(match[2])
+    if match is None or minutes >= 60.0 or side not in tuple(sides):
         return None
-    degrees = int(match[1]) + float(match[2]) / 60.0
-    return -degrees if side in {"S", "W"} else degrees
+    degrees = int(match[1]) + minutes / 60.0
+    return -degrees if side == sides[1] else degrees
 
 
 def _sigma(dilution: float) -> float:

@@ -34,8 +34,10 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
     """Return the tables of a file; raises InputError that names it and says what it is."""
     try:
         return tomllib.loads(read_text(path, what))
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:
         raise InputError(f"{path} is no TOML file: {error}") from error
+    except RecursionError as error:
+        raise InputError(f"{path} is no TOML file: it is nested too deeply") from error
 
 
 def write_toml(path: Path, sections: Mapping[str, Mapping[str, Scalar]]) -> None:

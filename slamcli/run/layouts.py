@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.bounds import Bounds
 from slamcli.core.errors import InputError
 from slamcli.io.checks import FieldError, check_array, check_matrix, check_number, required
-from slamcli.io.files import read_text
+from slamcli.io.toml import read_toml
 from slamcli.simulation.config import CourseLayout
 
 _MAX_METRES = 100.0
@@ -27,10 +26,10 @@ def read_layout(path: Path) -> CourseLayout:
     InputError
         For a file that cannot be read, and for a line that is along neither axis.
     """
-    text = read_text(path, "layout of a course")
+    table = read_toml(path, "layout of a course")
     try:
-        return _layout(tomllib.loads(text))
-    except (tomllib.TOMLDecodeError, FieldError) as error:
+        return _layout(table)
+    except FieldError as error:
         raise InputError(f"{path} is no layout of a course: {error}") from error
 
 

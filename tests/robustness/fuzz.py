@@ -74,9 +74,12 @@ def formats() -> dict[str, Format]:
     sys.path[:0] = [str(HERE), str(HERE.parent)]
     import container_formats
     import picture_formats
+    import run_formats
+    import sensor_formats
     import table_formats
 
-    return {**picture_formats.FORMATS, **table_formats.FORMATS, **container_formats.FORMATS}
+    modules = (picture_formats, table_formats, sensor_formats, container_formats, run_formats)
+    return {name: kind for module in modules for name, kind in module.FORMATS.items()}
 
 
 def mutation(name: str, kind: Format, corpus: Sequence[bytes], number: int) -> bytes:
@@ -213,22 +216,18 @@ class Child:
 
 
 def run(
-    name: str, count: int, first: int = 0, findings: Path | None = FINDINGS
+    child: Child, name: str, count: int, first: int = 0, findings: Path | None = FINDINGS
 ) -> Iterator[tuple[int, Outcome]]:
-    """Yield the number and the outcome of so many mutations of a format; keep what fails."""
+    """Yield the number and the outcome of each mutation of a format; keep what fails."""
     kind = formats()[name]
     corpus = kind.corpus()
-    child = Child()
-    try:
-        for number in range(first, first + count):
-            data = mutation(name, kind, corpus, number)
-            outcome = child.read(name, data)
-            if outcome.kind not in {"clean", "reason"} and findings is not None:
-                findings.mkdir(exist_ok=True)
-                (findings / f"{name}-{number}{kind.suffix}").write_bytes(data)
-            yield number, outcome
-    finally:
-        child.close()
+    for number in range(first, first + count):
+        data = mutation(name, kind, corpus, number)
+        outcome = child.read(name, data)
+        if outcome.kind not in {"clean", "reason"} and findings is not None:
+            findings.mkdir(exist_ok=True)
+            (findings / f"{name}-{number}{kind.suffix}").write_bytes(data)
+        yield number, outcome
 
 
 def main() -> int:
@@ -240,16 +239,17 @@ def main() -> int:
     arguments = parser.parse_args()
     print("| input | tried | " + " | ".join(OUTCOMES) + " |")
     print("|---" * (len(OUTCOMES) + 2) + "|")
-    failed = False
+    failed, child = False, Child()
     for name in arguments.formats.split(","):
         found: Counter[str] = Counter()
-        for number, outcome in run(name, arguments.count, arguments.seed):
+        for number, outcome in run(child, name, arguments.count, arguments.seed):
             found[outcome.kind] += 1
             if outcome.kind not in {"clean", "reason"}:
                 failed = True
                 print(f"{name} {number}: {outcome.kind}\n{outcome.text}", file=sys.stderr)
         cells = [name, arguments.count, *(found[kind] for kind in OUTCOMES)]
         print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+    child.close()
     return int(failed)
 
 

@@ -14,6 +14,7 @@ from fuzz import Format, SilentlyWrongError
 from PIL import Image
 
 from slamcli.core.errors import FrameError
+from slamcli.io.containers.heic import can_read_heic
 from slamcli.io.frames import (
     FrameFile,
     list_frames,
@@ -127,6 +128,18 @@ def gifs() -> list[bytes]:
     return [encoded("GIF", "P"), animated("GIF")]
 
 
+def heics() -> list[bytes]:
+    import pillow_heif
+
+    found = []
+    for mode in ("RGB", "L", "RGBA"):
+        stream = io.BytesIO()
+        whole = Image.fromarray(cv2.resize(picture(), (64, 64))).convert(mode)
+        pillow_heif.from_pillow(whole).save(stream, quality=60)
+        found.append(stream.getvalue())
+    return found
+
+
 def foreign() -> list[bytes]:
     kinds = (b"%!PS-Adobe-3.0\n", b"%PDF-1.7\n", b"PK\x03\x04", b"8BPS\0\1", b"\0\0\x80?\0\0\x90B")
     brands = (b"avif", b"heic", b"isom")
@@ -136,14 +149,18 @@ def foreign() -> list[bytes]:
 
 def read_pages(files: list[FrameFile]) -> None:
     """Read the pages of a file: each is a picture of the size that it declares, or has a reason."""
+    faults = []
     for file in files:
         width, height = file.size()
         try:
             image, gray = read_frame(file).image, read_frame(file, gray=True).image
-        except FrameError:
+        except FrameError as error:
+            faults.append(error)
             continue
         expect(image.shape == (height, width, 3), "a page of another size than it declares")
         expect(gray.shape == (height, width), "gray or colour")
+    if len(faults) == len(files):
+        raise faults[0]
 
 
 def read(path: Path) -> None:
@@ -211,3 +228,5 @@ FORMATS = {
     "gif": Format(".gif", gifs, read, (FrameError,)),
     "foreign": Format(".jpg", foreign, read, (FrameError,)),
 }
+if can_read_heic():
+    FORMATS["heic"] = Format(".heic", heics, read, (FrameError,))

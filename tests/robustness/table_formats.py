@@ -38,6 +38,19 @@ GPS = (
     b"stamp,latitude,longitude,sigma\n0,29.64,-82.35,1.0\n1,29.65,-82.36,1.0\n",
     b"\xef\xbb\xbft,lat,lon\n0,29.64,-82.35\n1,29.65,-82.36\n",
 )
+CAMERA_INFO = (
+    b"image_width: 640\nimage_height: 480\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
+    b"  data: [600.0, 0.0, 319.5, 0.0, 601.0, 239.5, 0.0, 0.0, 1.0]\ndistortion_model: plumb_bob\n"
+    b"distortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [-0.2, 3e-1, 0.001, -1E-3, 0]\n",
+    b"header:\n  stamp:\n    sec: 12\nheight: 480\nwidth: 640\ndistortion_model: plumb_bob\n"
+    b"d: [-0.2, 0.3, 0.001, -0.001, 0.0]\n"
+    b"k: [600.0, 0.0, 319.5, 0.0, 601.0, 239.5, 0.0, 0.0, 1.0]\n"
+    b"binning_x: 0\nroi:\n  x_offset: 0\n  width: 0\n---\n",
+    b"%YAML:1.0\n---\nimage_Width: 640\nimage_Height: 480\nCamera_Matrix: !!opencv-matrix\n"
+    b"   rows: 3\n   cols: 3\n   dt: d\n   data: [ 600., 0., 319.5, 0., 601., 239.5, 0., 0., 1. ]\n"
+    b"Distortion_Coefficients: !!opencv-matrix\n   rows: 5\n   cols: 1\n   dt: d\n"
+    b"   data: [ -0.2, 0.3, 0.001, -0.001, 0. ]\n",
+)
 LAYOUT = (
     b"board_metres = [2.0, 1.0]\nline_metres = 0.02\nsquare_metres = 0.05\n"
     b"lines = [[[0.1, 0.1], [1.0, 0.1]]]\nsquares = [[0.5, 0.5]]\n"
@@ -101,12 +114,19 @@ def finite(read: Callable[[Path], object]) -> Callable[[Path], None]:
     return checked
 
 
+def read_lens(path: Path) -> None:
+    found = load_intrinsics(path)
+    if not np.isfinite(found.camera_matrix).all() or not np.isfinite(found.distortion).all():
+        raise SilentlyWrongError("a lens that is not finite")
+
+
 def these(*files: bytes) -> Callable[[], Sequence[bytes]]:
     return lambda: files
 
 
 FORMATS = {
     "calibration": Format(".yaml", calibrations, read_calibration, (CalibrationError,)),
+    "camera_info": Format(".yaml", these(*CAMERA_INFO), read_lens, (CalibrationError,)),
     "poses": Format(".csv", these(POSES, TUM, KITTI), finite(read_trajectory), (InputError,)),
     "odometry": Format(".csv", these(ODOMETRY, TUM), finite(read_odometry), (InputError,)),
     "compass": Format(".csv", these(*COMPASS), finite(read_compass), (InputError,)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,23 +18,26 @@ COUNT = 60
 SLOW = {"bag": 5, "mcap": 5, "db3": 5}
 
 
+@pytest.fixture(scope="module")
+def child() -> Iterator[fuzz.Child]:
+    one = fuzz.Child()
+    yield one
+    one.close()
+
+
 @pytest.mark.parametrize("name", fuzz.formats())
-def test_no_mutation_ends_in_anything_but_a_reason(name: str, tmp_path: Path) -> None:
+def test_no_mutation_ends_in_anything_but_a_reason(name: str, child: fuzz.Child) -> None:
     failed = [
         (number, outcome)
-        for number, outcome in fuzz.run(name, SLOW.get(name, COUNT), findings=None)
+        for number, outcome in fuzz.run(child, name, SLOW.get(name, COUNT), findings=None)
         if outcome.kind not in {"clean", "reason"}
     ]
     assert failed == []
 
 
 @pytest.mark.parametrize("path", sorted(fuzz.FINDINGS.glob("*-*")), ids=lambda path: path.name)
-def test_what_was_found_is_mended(path: Path) -> None:
-    child = fuzz.Child()
-    try:
-        outcome = child.read(path.name.split("-", maxsplit=1)[0], path.read_bytes())
-    finally:
-        child.close()
+def test_what_was_found_is_mended(path: Path, child: fuzz.Child) -> None:
+    outcome = child.read(path.name.split("-", maxsplit=1)[0], path.read_bytes())
     assert outcome.kind in {"clean", "reason"}, outcome.text
 
 

@@ -5,6 +5,8 @@ pillow-heif is imported here and nowhere else, and only for such a file.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -51,11 +53,8 @@ class HeicPicture:
 
     def content(self) -> UInt8Array:
         """Return (H, W) gray or (H, W, 3) BGR pixels, turned; raises FrameError."""
-        picture = _opened(self.path)
-        try:
-            samples = np.asarray(picture)
-        except Exception as error:
-            raise FrameError(f"damaged: {' '.join(str(error).split())}") from error
+        with _damage():
+            samples = np.asarray(_opened(self.path))
         if samples.ndim == 2:
             return np.asarray(samples, np.uint8)
         return np.asarray(cv2.cvtColor(samples[..., :3], cv2.COLOR_RGB2BGR), np.uint8)
@@ -85,18 +84,28 @@ def heic_picture(path: Path) -> HeicPicture:
 
 def heic_exif(path: Path) -> bytes:
     """Return the EXIF block of a HEIC photo; empty without one. Raises FrameError."""
-    return bytes(_opened(path).info.get("exif") or b"")
+    with _damage():
+        return bytes(_opened(path).info.get("exif") or b"")
 
 
 def _opened(path: Path) -> Any:
     """Return the photo, whose size is within the limits of all pictures; raises FrameError."""
     import pillow_heif
 
+    data = read_bytes(path)
+    with _damage():
+        picture = pillow_heif.open_heif(data, convert_hdr_to_8bit=True)
+        # A file may have no picture at all: its size raises.
+        Header(*picture.size)
+    return picture
+
+
+@contextmanager
+def _damage() -> Iterator[None]:
+    """Raise FrameError for whatever the decoder raises."""
     try:
-        picture = pillow_heif.open_heif(read_bytes(path), convert_hdr_to_8bit=True)
+        yield
     except FrameError:
         raise
     except Exception as error:
         raise FrameError(f"damaged: {' '.join(str(error).split())}") from error
-    Header(*picture.size)
-    return picture

@@ -11,7 +11,14 @@ from datetime import UTC, datetime, timedelta, timezone
 from itertools import pairwise
 from pathlib import Path
 
-from slamcli.core.bounds import LATITUDE_DEGREES, LONGITUDE_DEGREES
+from slamcli.core.bounds import (
+    ANGLE,
+    COORDINATE,
+    LATITUDE_DEGREES,
+    LONGITUDE_DEGREES,
+    SIGMA_METRES,
+    Bounds,
+)
 from slamcli.core.errors import FrameError
 from slamcli.io.images.exif import EXIF_START
 from slamcli.io.images.tiff import SIGNATURES
@@ -25,6 +32,8 @@ _LATITUDE, _LONGITUDE, _ALTITUDE_BELOW, _ALTITUDE, _GPS_ERROR = 2, 4, 5, 6, 31
 _TEXT, _SHORT, _LONG = 2, 3, 4
 _RATIONALS = {5: "I", 10: "i"}
 _BYTES = {1: 1, _TEXT: 1, _SHORT: 2, _LONG: 4, 5: 8, 7: 1, 9: 4, 10: 8, 13: 4}
+# From the widest fisheye to the longest telescope, millimetres.
+_FOCAL_LIMITS = Bounds(1.0, 1e5)
 # Of an attribute or an element of XMP.
 _DJI = re.compile(rb'drone-dji:(\w{1,40})(?:="|>)([-+]?\d{1,10}(?:\.\d{1,12})?)["<]')
 _CLOCK = re.compile(r"(\d{4}):(\d\d):(\d\d) (\d\d):(\d\d):(\d\d)")
@@ -100,19 +109,24 @@ def photo_info(head: bytes) -> PhotoInfo:
     gps = _directory(block, _offset(main, _GPS))
     seconds, has_subseconds = _seconds(exif)
     dji = {name.decode(): float(value) for name, value in _DJI.findall(head)}
-    altitude = _number(gps, _ALTITUDE)
+    altitude = _within(COORDINATE, _number(gps, _ALTITUDE))
     return PhotoInfo(
         seconds,
         has_subseconds,
         _degrees(gps, _LATITUDE, LATITUDE_DEGREES.high),
         _degrees(gps, _LONGITUDE, LONGITUDE_DEGREES.high / 2),
         None if altitude is None else (-altitude if _below(gps) else altitude),
-        _number(gps, _GPS_ERROR) or _rtk_sigma(dji),
-        dji.get("RelativeAltitude"),
-        dji.get("GimbalYawDegree"),
-        dji.get("GimbalPitchDegree"),
-        _number(exif, _FOCAL_35MM) or None,
+        _within(SIGMA_METRES, _number(gps, _GPS_ERROR)) or _rtk_sigma(dji),
+        _within(COORDINATE, dji.get("RelativeAltitude")),
+        _within(ANGLE, dji.get("GimbalYawDegree")),
+        _within(ANGLE, dji.get("GimbalPitchDegree")),
+        _within(_FOCAL_LIMITS, _number(exif, _FOCAL_35MM)),
     )
+
+
+def _within(limits: Bounds, value: float | None) -> float | None:
+    """Return a number, None where it is none that a camera measures."""
+    return value if value in limits else None
 
 
 def photo_stamps(infos: Sequence[PhotoInfo]) -> list[float] | None:
@@ -224,7 +238,7 @@ def _below(gps: _Directory) -> bool:
 
 def _rtk_sigma(dji: dict[str, float]) -> float | None:
     """Return the larger sigma of a place that was measured against a base station, metres."""
-    sigmas = [dji[name] for name in ("RtkStdLat", "RtkStdLon") if dji.get(name, 0.0) > 0.0]
+    sigmas = [dji[name] for name in ("RtkStdLat", "RtkStdLon") if dji.get(name) in SIGMA_METRES]
     return max(sigmas, default=None)
 
 

@@ -74,10 +74,9 @@ def read_position(path: Path) -> dict[str, object]:
     InputError
     """
     try:
-        found = json.loads(read_text(path, "position of a pyramid"))
-    except ValueError as error:
+        return dict(json.loads(read_text(path, "position of a pyramid")))
+    except (TypeError, ValueError, RecursionError) as error:
         raise InputError(f"{path} is damaged: {error}") from error
-    return dict(found)
 
 
 def _children(folder: Path, row: int, column: int, tile_pixels: int) -> UInt8Array:
