@@ -6,7 +6,7 @@ WORKDIR /source
 COPY pyproject.toml README.md LICENSE ./
 COPY slamcli slamcli
 RUN python -m venv /venv \
-    && /venv/bin/pip install --no-cache-dir ".[geo,geotiff,heic,rosbag,video]"
+    && /venv/bin/pip install --no-cache-dir ".[geo,geotiff,heic,pages,rosbag,video]"
 
 FROM python:3.13-slim
 COPY --from=build /venv /venv

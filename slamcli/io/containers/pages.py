@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -56,13 +57,19 @@ class Page:
         return self.pages.page(self.number)
 
 
+def can_read_pages() -> bool:
+    """Return whether imageio is installed."""
+    return find_spec("imageio") is not None
+
+
 def file_pages(path: Path) -> list[Page]:
     """Return the pages of a TIFF or GIF that has several; none of any other file.
 
-    Pages of another size than the first are reduced copies of it, as maps have them.
+    Pages of another size than the first are reduced copies of it, as maps have them. Without
+    imageio a file is its first page.
     """
     count = _count(path)
-    if count < 2:
+    if count < 2 or not can_read_pages():
         return []
     pages = Pages(path)
     try:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from slamcli.io.containers.listing import is_container
+from slamcli.io.containers.pages import can_read_pages
 from slamcli.io.frames import IMAGE_SUFFIXES, FrameFile
 from slamcli.io.images import plain, png, tiff, webp
 from slamcli.io.images.own import is_marked
@@ -29,10 +30,12 @@ _NAMES = {
     **dict.fromkeys((".avi", ".m4v", ".mkv", ".mov", ".mp4", ".webm"), "video"),
 }
 _OTHER = "other"
+# Those that imageio reads.
+_TIFF_PAGE, _GIF_FRAME = "further TIFF page", "further GIF frame"
 _MANY = (
-    (tiff.SIGNATURES, "further TIFF page", tiff.count_pages),
+    (tiff.SIGNATURES, _TIFF_PAGE, tiff.count_pages),
     ((png.SIGNATURE,), "further PNG frame", png.count_frames),
-    ((b"GIF8",), "further GIF frame", plain.count_frames),
+    ((b"GIF8",), _GIF_FRAME, plain.count_frames),
     ((b"RIFF",), "further WebP frame", webp.count_frames),
 )
 
@@ -66,6 +69,8 @@ def unread_note(files: Sequence[FrameFile]) -> str:
     for path in paths:
         further.update(_further_pictures(path))
     notes += [_count(count, kind) for kind, count in sorted(further.items())]
+    if not can_read_pages() and further.keys() & {_TIFF_PAGE, _GIF_FRAME}:
+        notes.append("pages need pip install 'slamcli[pages]'")
     return f"not read: {', '.join(notes)}" if notes else ""
 
 

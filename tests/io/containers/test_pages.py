@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from slamcli.core.errors import FrameError, InputError
-from slamcli.io.containers import heic
+from slamcli.io.containers import heic, pages
 from slamcli.io.frames import list_frames, read_frame
 from slamcli.io.images.unread import unread_note
 from slamcli.run.inputs import open_inputs
@@ -43,10 +43,22 @@ def test_every_page_of_a_tiff_is_a_frame(tmp_path: Path) -> None:
     assert inputs.files[3].stamp == pytest.approx(0.3)
 
 
+def test_without_imageio_the_first_page_is_read_and_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pictures = noise(3)
+    write_pages(tmp_path / "stack.tif", [Image.fromarray(p[..., ::-1]) for p in pictures])
+    monkeypatch.setattr(pages, "find_spec", lambda _: None)
+    (file,) = list_frames([tmp_path])
+    np.testing.assert_array_equal(read_frame(file).image, pictures[0])
+    named = "not read: 2 further TIFF pages, pages need pip install 'slamcli[pages]'"
+    assert unread_note([file]) == named
+
+
 def test_pages_of_16_bits_share_one_range(tmp_path: Path) -> None:
     ramp = np.tile(np.arange(48, dtype=np.uint16) * 80, (32, 1))
-    pages = [Image.fromarray(ramp), Image.fromarray(ramp // 80)]
-    write_pages(tmp_path / "stack.tif", pages)
+    both = [Image.fromarray(ramp), Image.fromarray(ramp // 80)]
+    write_pages(tmp_path / "stack.tif", both)
     bright, dark = (read_frame(f).image.max() for f in list_frames([tmp_path / "stack.tif"]))
     assert (bright, dark) == (3760 >> 4, 47 >> 4)
 
