@@ -19,6 +19,7 @@ LOADED = {
 # What the commands are called with besides the option; files need only exist.
 ARGUMENTS = {
     "stitch": ["frames"],
+    "live": ["0"],
     "locate": ["frames", "frames"],
     "render": ["frames"],
     "view": ["frames"],

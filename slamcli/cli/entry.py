@@ -21,6 +21,7 @@ def main() -> None:
     os.environ.setdefault("MKL_NUM_THREADS", "1")
     # A frame that cannot be decoded is reported once, with its reason; OpenCV would repeat it.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     if os.environ.get(_LOG_VARIABLE):
         _log_to(os.environ[_LOG_VARIABLE])
     from slamcli.cli.main import main as command_line

@@ -21,6 +21,7 @@ COMMANDS = {
     "detect": "Draw the feature points found in frames.",
     "evaluate": "Measure the error of poses against ground truth.",
     "extract": "Write the frames and readings of a video or bag as files.",
+    "live": "Map a live camera's floor, or locate it in a map.",
     "locate": "Find where frames lie in a finished map (relocalisation).",
     "match": "Estimate the transform between two pictures.",
     "render": "Paint a finished map again, with other options.",

@@ -98,14 +98,7 @@ def staging_folder(
     OutputError
         When the folder cannot be written or has earlier products.
     """
-    earlier = _products_in(folder, products)
-    for path in earlier:
-        _refuse_special(path)
-    _refuse_inputs(earlier, inputs)
-    if earlier and not overwrite:
-        raise OutputError(
-            f"{folder} already has {earlier[0].name}; use --overwrite or another --output"
-        )
+    refuse_earlier(folder, products, inputs=inputs, overwrite=overwrite)
     try:
         for path in folder.glob(f"{STAGING_PREFIX}*"):
             remove_folder(path)
@@ -120,6 +113,20 @@ def staging_folder(
         raise _cannot_write(folder, error) from error
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def refuse_earlier(
+    folder: Path, products: Sequence[str], *, inputs: Iterable[Path | None], overwrite: bool
+) -> None:
+    """Refuse a folder whose earlier products may not be replaced, as `staging_folder` does."""
+    earlier = _products_in(folder, products)
+    for path in earlier:
+        _refuse_special(path)
+    _refuse_inputs(earlier, inputs)
+    if earlier and not overwrite:
+        raise OutputError(
+            f"{folder} already has {earlier[0].name}; use --overwrite or another --output"
+        )
 
 
 def remove_folder(folder: Path) -> None:

@@ -10,7 +10,7 @@ from slamcli.core.arrays import UInt8Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.failures import FAILURES, logged
-from slamcli.core.geometry import Pose2, relative_poses
+from slamcli.core.geometry import Grid, Pose2, relative_poses
 from slamcli.core.records import FloorMap, Frame, Link, PoseEstimate, PreparedFrame
 from slamcli.mapping.backend.pose_graph import PoseGraph, PoseGraphReader, lost
 from slamcli.mapping.keyframes import KeyframeDatabase
@@ -60,6 +60,11 @@ class Locator:
         self._options = options
         self._near = NearKeyframes(floor_map.calibration, database, self._graph)
         self._count, self._lock = 0, ReentrantLock()
+
+    @property
+    def grid(self) -> Grid:
+        """Of the views that are registered, in the robot frame."""
+        return self._preprocessor.grid
 
     def locate(
         self,

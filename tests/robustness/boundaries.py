@@ -54,6 +54,8 @@ _SENSORS = ["--odometry", "odometry.csv", "--compass", "compass.csv", "--gps", "
 # How each command is called, and what else an option needs to have a meaning.
 COMMANDS = {
     "stitch": _DRIVE,
+    # A camera that no machine has: only the options are tried.
+    "live": ["live", "999", "--no-browser"],
     "locate": ["locate", "map", "frames/1.png", "-o", "out.csv"],
     "render": ["render", "map", "-o", "out"],
     "warp": ["warp", "frames", "-o", "out"],

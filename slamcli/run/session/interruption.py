@@ -38,6 +38,10 @@ class Interruption:
         self._requested = False
         self._ending = False
 
+    def renewed(self) -> Interruption:
+        """Return one that has not happened, for the work that follows a request."""
+        return Interruption(self._acknowledge)
+
     @contextmanager
     def on_signals(self) -> Iterator[None]:
         """Record requests meanwhile; a second one before the first is served ends the program."""

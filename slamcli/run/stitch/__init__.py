@@ -73,6 +73,34 @@ def stitch(
     """
     timing = Timing()
     drive = open_drive(sources, calibration_path, options, telemetry or TelemetryFiles(), session)
+    return stitch_drive(
+        drive, output, timing, overwrite=overwrite, session=session, command=command
+    )
+
+
+def stitch_drive(
+    drive: Drive,
+    output: Path,
+    timing: Timing,
+    *,
+    overwrite: bool,
+    session: Session,
+    command: str = "",
+) -> Report:
+    """Map an open drive into `output`; the other parameters are those of `stitch`.
+
+    Parameters
+    ----------
+    drive : Drive
+        Frames that its mapper has seen are located already.
+    timing : Timing
+        Runs since the drive was opened.
+
+    Raises
+    ------
+    InputError, CalibrationError, MapError, OutputError
+    """
+    options = drive.options
     control = read_control(options, drive.inputs.files)
     with (
         session.interruption.on_signals(),
