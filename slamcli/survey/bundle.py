@@ -8,16 +8,17 @@ frame's point comes out through the plane, minus where it was seen. The robust l
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from slamcli.core.arrays import Float64Array, IntpArray
+from slamcli.core.arrays import BoolArray, Float64Array, IntpArray
 from slamcli.core.robust import RAYLEIGH_MEDIAN
+from slamcli.survey.lens import Lens, LensPrior, Mount
 from slamcli.survey.pairs import Pair
-from slamcli.survey.projection import LOG_SCALE, PITCH, ROLL, STATES, project, undistort
+from slamcli.survey.projection import LOG_SCALE, PITCH, STATES, undistort
 
 # A pair counts for at most this many independent matches while the mount is learned: what errors
 # they have, of relief and lens, they have in common [benchmarks/real_sets.py: with all 150 the tilt
@@ -29,47 +30,6 @@ _ITERATIONS, _TRIALS, _CONVERGED_SHARE = 25, 8, 1e-5
 _DAMPING, _MIN_DAMPING = 1e-4, 1e-9
 _BEHIND_PIXELS = 1e4
 _ANCHOR_INFORMATION = 1e8
-# Sigma of the prior of the lens's bend.
-_BEND_SIGMA = 0.05
-# The sigmas of tilt and scale are learned within these limits, from the states of at most so many
-# frames.
-_MIN_SIGMA, _MAX_TILT_SIGMA, _MAX_SCALE_SIGMA, _LEARN_FRAMES = 1e-3, 0.25, 0.5, 40
-# The first guess of the tilt's sigma, radians, counts for so many frames.
-_GUESS_TILT, _GUESS_FRAMES = 0.02, 3.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Lens:
-    """The lens that all frames share.
-
-    Attributes
-    ----------
-    focal_pixels : float
-    bend : float
-        Radial distortion in the corners: a share of the radius.
-    radius_pixels : float
-        Of the corners.
-    """
-
-    focal_pixels: float
-    bend: float
-    radius_pixels: float
-
-
-@dataclass(frozen=True, slots=True)
-class Mount:
-    """How freely the camera moves: sigmas of the priors of every frame's tilt and scale.
-
-    Attributes
-    ----------
-    tilt_sigma : float
-        Radians, of pitch and roll; 0 for a camera that is fixed looking straight down.
-    scale_sigma : float
-        Of the logarithm of the scale.
-    """
-
-    tilt_sigma: float
-    scale_sigma: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +85,7 @@ class _Matches:
         """Return (M, 2) pixels."""
         seen, _ = undistort(self.seen, lens.bend, lens.radius_pixels)
         expected, _ = undistort(self.expected, lens.bend, lens.radius_pixels)
-        image_from_map = project(states, lens.focal_pixels).image_from_map
+        image_from_map = lens.project(states).image_from_map
         transfer = image_from_map[self.target] @ np.linalg.inv(image_from_map)[self.source]
         there = np.einsum("mij,mj->mi", transfer[:, :, :2], seen) + transfer[:, :, 2]
         in_front = there[:, 2] > 0.0
@@ -137,7 +97,7 @@ class _Matches:
         """Return (M, 2, 14): by the source's and the target's states, log focal length, bend."""
         seen, seen_by_bend = undistort(self.seen, lens.bend, lens.radius_pixels)
         _, expected_by_bend = undistort(self.expected, lens.bend, lens.radius_pixels)
-        found = project(states, lens.focal_pixels)
+        found = lens.project(states)
         map_from_image = np.linalg.inv(found.image_from_map)[self.source]
         floor = np.einsum("mij,mj->mi", map_from_image[:, :, :2], seen) + map_from_image[:, :, 2]
         there = np.einsum("mij,mj->mi", found.image_from_map[self.target], floor)
@@ -190,8 +150,8 @@ class _Prior:
 class _Solver:
     """Levenberg and Marquardt's iterations from a first guess."""
 
-    def __init__(self, matches: _Matches, prior: _Prior, free: IntpArray, radius: float) -> None:
-        self.matches, self.prior, self.free, self.radius_pixels = matches, prior, free, radius
+    def __init__(self, matches: _Matches, prior: _Prior, free: IntpArray, lens: Lens) -> None:
+        self.matches, self.prior, self.free, self.lens = matches, prior, free, lens
         self.parameters = prior.start
         self.residual = self._residuals(prior.start)
         self.damping = _DAMPING
@@ -211,7 +171,8 @@ class _Solver:
 
     def unpacked(self, parameters: Float64Array) -> tuple[Float64Array, Lens]:
         """Return the states and the lens of all parameters."""
-        lens = Lens(float(np.exp(parameters[-2])), float(parameters[-1]), self.radius_pixels)
+        focal, bend = float(np.exp(parameters[-2])), float(parameters[-1])
+        lens = replace(self.lens, focal_pixels=focal, bend=bend)
         return parameters[:-2].reshape(-1, STATES), lens
 
     def normal_equations(self) -> tuple[sparse.csc_array, Float64Array]:
@@ -269,7 +230,9 @@ def adjust(
 ) -> Bundle:
     """Return the adjustment of the states of `frames`, from a first guess.
 
-    The focal length stays as it is: frames that look straight down do not determine it.
+    The focal length is estimated with all matches alone: by a few, smaller tilts of a shorter one
+    are more probable. It stays near its prior where the frames do not determine it, as those that
+    all look straight down do not.
 
     Parameters
     ----------
@@ -277,14 +240,15 @@ def adjust(
         Between these frames, which they connect.
     states : (N, 6) float64
     lens_known : bool
-        Leave the lens's bend as it is.
+        Leave the lens as it is.
     independent : float
         For how many independent matches a pair counts at most.
     """
     numbers = {frame: number for number, frame in enumerate(frames)}
     matches = _Matches(pairs, numbers, independent)
-    prior, free = _prior(states, lens, mount, lens_known=lens_known)
-    solver = _Solver(matches, prior, free, lens.radius_pixels)
+    fixed = np.array([lens_known or independent < ALL_MATCHES, lens_known])
+    prior, free = _prior(states, lens, mount, fixed)
+    solver = _Solver(matches, prior, free, lens)
     solver.run()
     found, bent = solver.unpacked(solver.parameters)
     medians = matches.medians(solver.residual)
@@ -292,46 +256,10 @@ def adjust(
     return Bundle(found, bent, mount, medians, solver.noise, information, free)
 
 
-def learned_mount(bundle: Bundle) -> Mount:
-    """Return the mount that explains the states best: a step of expectation maximisation."""
-    frames = len(bundle.states)
-    some = np.unique(np.linspace(0, frames - 1, min(frames, _LEARN_FRAMES)).round().astype(int))
-    columns = [LOG_SCALE, PITCH, ROLL]
-    variances = np.array([np.diag(c) for c in covariances(bundle, some.tolist(), columns)])
-    # About their mean: a tilt that all frames share tilts the map, and is mostly the lens's.
-    squares = np.var(bundle.states[:, columns], axis=0) + variances.mean(axis=0)
-    known = frames / (frames + _GUESS_FRAMES)
-    scale = np.sqrt(squares[0])
-    tilt = np.sqrt(known * squares[1:].mean() + (1.0 - known) * _GUESS_TILT**2)
-    return Mount(
-        float(np.clip(tilt, _MIN_SIGMA, _MAX_TILT_SIGMA)),
-        float(np.clip(scale, _MIN_SIGMA, _MAX_SCALE_SIGMA)),
-    )
-
-
-def covariances(
-    bundle: Bundle, frames: Sequence[int], columns: Sequence[int]
-) -> list[Float64Array]:
-    """Return the covariance of some numbers of the states of some frames; 0 of what is fixed."""
-    solver = splu(bundle.information)
-    place = np.full(STATES * len(bundle.states) + 2, -1)
-    place[bundle.free] = np.arange(len(bundle.free))
-    found = []
-    for frame in frames:
-        own = place[STATES * frame + np.array(columns)]
-        known = own >= 0
-        unit = np.zeros((len(bundle.free), int(known.sum())))
-        unit[own[known], np.arange(unit.shape[1])] = 1.0
-        covariance = np.zeros((len(columns), len(columns)))
-        covariance[np.ix_(known, known)] = solver.solve(unit)[own[known]]
-        found.append(0.5 * (covariance + covariance.T))
-    return found
-
-
 def _prior(
-    states: Float64Array, lens: Lens, mount: Mount, *, lens_known: bool
+    states: Float64Array, lens: Lens, mount: Mount, lens_fixed: BoolArray
 ) -> tuple[_Prior, IntpArray]:
-    """Return the prior of all parameters, and which are free."""
+    """Return the prior of all parameters, and which are free; `lens_fixed` of focal and bend."""
     mean, information = np.zeros_like(states), np.zeros_like(states)
     mean[0, :LOG_SCALE] = states[0, :LOG_SCALE]
     information[0, :LOG_SCALE] = _ANCHOR_INFORMATION
@@ -342,10 +270,13 @@ def _prior(
     else:
         fixed[:, PITCH:] = True
     focal = np.log(lens.focal_pixels)
+    known = lens.prior or LensPrior(float(focal), 0.0)
+    sigmas = np.array([known.focal_sigma, known.bend_sigma])
+    lens_fixed = lens_fixed | (sigmas == 0.0)
     prior = _Prior(
         len(states),
         np.append(states.ravel(), [focal, lens.bend]),
-        np.append(mean.ravel(), [focal, 0.0]),
-        np.append(information.ravel(), [1.0, _BEND_SIGMA**-2.0]),
+        np.append(mean.ravel(), [known.log_focal, 0.0]),
+        np.append(information.ravel(), np.where(lens_fixed, 1.0, sigmas) ** -2.0),
     )
-    return prior, np.flatnonzero(~np.append(fixed.ravel(), [True, lens_known]))
+    return prior, np.flatnonzero(~np.append(fixed.ravel(), lens_fixed))

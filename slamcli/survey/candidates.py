@@ -63,9 +63,7 @@ def by_overlap(
     across, down = np.meshgrid(share, share)
     unit = np.column_stack([across.ravel(), down.ravel()])
     map_from_image = np.linalg.inv(image_from_map)
-    probes = np.array(
-        [apply_homography(m, unit * s) for m, s in zip(map_from_image, sizes, strict=True)]
-    )
+    probes = np.array([_on_floor(m, unit * s) for m, s in zip(map_from_image, sizes, strict=True)])
     found = []
     for number, homography in enumerate(image_from_map):
         inside = _inside(homography, probes, sizes[number]).mean(axis=1)
@@ -81,6 +79,13 @@ def ordered(a: int, b: int) -> NumberPair:
 def untried(pairs: Iterable[NumberPair], tried: set[NumberPair]) -> list[NumberPair]:
     """Return the pairs that have not been tried, in order, each once."""
     return sorted(set(pairs) - tried)
+
+
+def _on_floor(map_from_image: Float64Array, pixels: Float64Array) -> Float64Array:
+    """Return (N, 2) where pixels show the floor; nan above the horizon."""
+    floor = apply_homography(map_from_image, pixels)
+    floor[~(pixels @ map_from_image[2, :2] + map_from_image[2, 2] > 0.0)] = np.nan
+    return floor
 
 
 def _inside(homography: Float64Array, probes: Float64Array, size: tuple[int, int]) -> BoolArray:

@@ -86,8 +86,10 @@ def fit_ground(
     # The map errs, too: what most places differ by is no outlier.
     ratios = np.abs(factor * z + shift - w) / sigmas
     sigmas = sigmas * max(1.0, float(np.median(ratios)) / RAYLEIGH_MEDIAN)
+    inliers = np.ones(len(points), np.bool_)
     for _ in range(_ROUNDS):
-        inliers = np.abs(factor * z + shift - w) <= _OUTLIER_SIGMAS * sigmas
+        spread = sigmas if inliers.all() else _spread(z, sigmas, inliers)
+        inliers = np.abs(factor * z + shift - w) <= _OUTLIER_SIGMAS * spread
         if inliers.sum() < max(_MIN_PLACES, _MIN_INLIER_SHARE * len(points)):
             return None
         factor, shift = _fit(z[inliers], w[inliers], sigmas[inliers])
@@ -118,6 +120,14 @@ def _fit(z: Complex128Array, w: Complex128Array, sigmas: Float64Array) -> tuple[
     spread = np.sum(weights * np.abs(z - from_z) ** 2)
     factor = complex(np.sum(weights * np.conj(z - from_z) * (w - from_w)) / spread)
     return factor, complex(from_w - factor * from_z)
+
+
+def _spread(z: Complex128Array, sigmas: Float64Array, inliers: BoolArray) -> Float64Array:
+    """Return (N,) sigmas of the residuals: of a place that is left out also the fit's own."""
+    weights = sigmas[inliers] ** -2
+    away = np.abs(z - np.average(z[inliers], weights=weights)) ** 2
+    fitted = 1.0 / weights.sum() + away / (weights @ away[inliers])
+    return np.asarray(np.sqrt(sigmas**2 + np.where(inliers, 0.0, fitted)), np.float64)
 
 
 def _ground(

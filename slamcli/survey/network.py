@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
+from slamcli.core.geometry import apply_homography, invert
+from slamcli.survey.lens import Lens
 from slamcli.survey.pairs import Pair, fit_similarity
 from slamcli.survey.projection import LOG_SCALE, STATES
 
@@ -31,15 +33,16 @@ def connected(pairs: Sequence[Pair], frames: int) -> list[list[int]]:
     return sorted(members.values(), key=lambda found: (-len(found), found[0]))
 
 
-def first_states(pairs: Sequence[Pair], frames: Sequence[int]) -> Float64Array:
+def first_states(pairs: Sequence[Pair], frames: Sequence[int], lens: Lens) -> Float64Array:
     """Return (N, 6) states without tilt, chained from the first frame by the strongest pairs.
 
     The first frame is the map's origin; the scales' geometric mean is 1.
     """
     neighbours: dict[int, list[tuple[int, Float64Array]]] = {frame: [] for frame in frames}
     for pair in _spanning_tree(pairs):
-        neighbours[pair.a].append((pair.b, fit_similarity(pair.pixels_b, pair.pixels_a)))
-        neighbours[pair.b].append((pair.a, fit_similarity(pair.pixels_a, pair.pixels_b)))
+        a, b, weights = _from_above(pair, lens)
+        neighbours[pair.a].append((pair.b, fit_similarity(b, a, weights)))
+        neighbours[pair.b].append((pair.a, fit_similarity(a, b, weights)))
     first_from = {frames[0]: np.eye(3)}
     left = [frames[0]]
     while left:
@@ -56,6 +59,18 @@ def first_states(pairs: Sequence[Pair], frames: Sequence[int]) -> Float64Array:
         turn = -math.atan2(matrix[1, 0], matrix[0, 0])
         states[number, :4] = matrix[0, 2], -matrix[1, 2], turn, math.log(scale)
     return rescaled(states)
+
+
+def _from_above(pair: Pair, lens: Lens) -> tuple[Float64Array, Float64Array, Float64Array | None]:
+    """Return a pair's matches as a camera that looks straight down sees them, and their weights."""
+    if lens.camera_from_nadir is None:
+        return pair.pixels_a, pair.pixels_b, None
+    nadir_from_camera = invert(lens.camera_from_nadir)
+    both = pair.pixels_a, pair.pixels_b
+    depths = [pixels @ nadir_from_camera[2, :2] + nadir_from_camera[2, 2] for pixels in both]
+    a, b = (apply_homography(nadir_from_camera, pixels) for pixels in both)
+    # An error of a pixel far away is one of much floor.
+    return a, b, np.clip(np.minimum(*depths), 1e-3, None) ** 4
 
 
 def rescaled(states: Float64Array) -> Float64Array:

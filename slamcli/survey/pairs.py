@@ -99,12 +99,16 @@ def find_pair(a: int, b: int, first: SurveyFeatures, second: SurveyFeatures) -> 
     return Pair(a, b, a_from_b, points_a[kept], points_b[kept], count, correlation)
 
 
-def fit_similarity(source: Float64Array, target: Float64Array) -> Float64Array:
+def fit_similarity(
+    source: Float64Array, target: Float64Array, weights: Float64Array | None = None
+) -> Float64Array:
     """Return the (3, 3) least-squares similarity between (N, 2) point pairs, target from source."""
     z, w = source @ [1.0, 1.0j], target @ [1.0, 1.0j]
-    centred, mean = z - z.mean(), w.mean()
-    factor = complex(np.vdot(centred, w - mean) / np.vdot(centred, centred))
-    shift = complex(mean - factor * z.mean())
+    centre, mean = np.average(z, weights=weights), np.average(w, weights=weights)
+    centred = z - centre
+    counted = centred if weights is None else weights * centred
+    factor = complex(np.vdot(counted, w - mean) / np.vdot(counted, centred))
+    shift = complex(mean - factor * centre)
     return np.array(
         [
             [factor.real, -factor.imag, shift.real],

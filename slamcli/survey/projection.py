@@ -37,8 +37,18 @@ class Projections:
     by_log_focal: Float64Array
 
 
-def project(states: Float64Array, focal_pixels: float) -> Projections:
+def project(
+    states: Float64Array, focal_pixels: float, camera_from_nadir: Float64Array | None = None
+) -> Projections:
     """Return the homographies of (N, 6) states.
+
+    Parameters
+    ----------
+    states : (N, 6) float64
+    focal_pixels : float
+    camera_from_nadir : (3, 3) float64 or None
+        Of a camera that looks ahead: to its pixels from those of one that looks straight down from
+        the same place, which the states are of.
 
     The image of a floor point is ``K [r1 r2 (0, 0, d)] map_from_robot^-1`` with depth ``d = scale
     f`` of the picture's middle (Hartley and Zisserman, Multiple View Geometry, 8.1), here divided
@@ -67,7 +77,10 @@ def project(states: Float64Array, focal_pixels: float) -> Projections:
     of_map = [image @ by for by in (by_x, by_y, by_yaw)]
     of_image = [by @ robot_from_map for by in (by_scale, by_pitch, by_roll)]
     by_state = np.stack([*of_map, *of_image], axis=1)
-    return Projections(image @ robot_from_map, by_state, by_focal @ robot_from_map)
+    turn = np.eye(3) if camera_from_nadir is None else camera_from_nadir
+    return Projections(
+        turn @ image @ robot_from_map, turn @ by_state, turn @ by_focal @ robot_from_map
+    )
 
 
 def undistort(

@@ -9,13 +9,14 @@ from functools import partial
 import numpy as np
 
 from slamcli.survey import candidates
-from slamcli.survey.bundle import ALL_MATCHES, Bundle, Lens, Mount, adjust, learned_mount
+from slamcli.survey.bundle import ALL_MATCHES, Bundle, adjust
 from slamcli.survey.candidates import NumberPair
 from slamcli.survey.features import SurveyFeatures
 from slamcli.survey.in_order import InOrder
+from slamcli.survey.lens import Lens, Mount
 from slamcli.survey.network import connected, first_states, rescaled
 from slamcli.survey.pairs import Pair, coarse_votes, find_pair
-from slamcli.survey.projection import project
+from slamcli.survey.uncertainty import learned_mount
 
 # Rounds of matching what the poses predict to overlap, of leaving out contradicted pairs, and of
 # learning how freely the camera moves. [Guarded by benchmarks/real_sets.py.]
@@ -102,7 +103,7 @@ def _pair(features: Sequence[SurveyFeatures], numbers: NumberPair) -> Pair:
 
 
 def _overlaps(one: SurveyMap, features: Sequence[SurveyFeatures]) -> list[NumberPair]:
-    homographies = project(one.bundle.states, one.bundle.lens.focal_pixels).image_from_map
+    homographies = one.bundle.lens.project(one.bundle.states).image_from_map
     sizes = [features[frame].size for frame in one.frames]
     return candidates.by_overlap(homographies, one.frames, sizes)
 
@@ -158,7 +159,7 @@ def _solve_connected(
     None for the map when these hold it together: its parts are to be solved by themselves.
     """
     contradicted = list[Pair]()
-    states = first_states(pairs, members)
+    states = first_states(pairs, members, lens)
     for _ in range(_OUTLIER_ROUNDS):
         bundle = adjust(pairs, members, states, lens, _FIRST_MOUNT)
         bundle = adjust(pairs, members, rescaled(bundle.states), bundle.lens, _LOOSE_MOUNT)

@@ -73,6 +73,18 @@ def test_the_course_has_its_squares_where_its_plan_says() -> None:
     np.testing.assert_allclose(stats[1:, cv2.CC_STAT_WIDTH] + 59, 304.8, atol=2)
 
 
+def test_a_camera_that_looks_straight_down_rocks_about_both_axes() -> None:
+    level = photograph.make_camera(CameraOptions(pitch_degrees=90.0))
+    below = [[0.0, 0.0]]
+    middle, _ = project_floor(level, below)
+    ahead, _ = project_floor(photograph.tilted(level, 0.05, 0.0, 0.0), below)
+    aside, _ = project_floor(photograph.tilted(level, 0.0, 0.05, 0.0), below)
+    focal = level.camera_matrix[0, 0]
+    moved = focal * math.tan(0.05)
+    np.testing.assert_allclose(np.abs(ahead - middle), [[0.0, moved]], atol=1e-6)
+    np.testing.assert_allclose(np.abs(aside - middle), [[moved, 0.0]], atol=1e-6)
+
+
 def test_a_photo_shows_a_decal_where_the_camera_model_says() -> None:
     options = CameraOptions(size=(320, 240), k1=-0.2, roll_degrees=4.0)
     calibration = photograph.make_camera(options)

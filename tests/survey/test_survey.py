@@ -18,7 +18,7 @@ from slamcli.core.camera.mounting import rocked, top_down_homography
 from slamcli.core.geometry import apply_homography, invert
 from slamcli.io.images.canvas import common_canvas, on_canvas
 from slamcli.survey import candidates, survey, survey_features
-from slamcli.survey.bundle import Lens
+from slamcli.survey.lens import Lens, LensPrior
 from slamcli.survey.network import connected
 from slamcli.survey.pairs import find_pair
 from slamcli.survey.projection import STATES, project
@@ -51,6 +51,18 @@ def test_height_and_tilt_of_a_flight_are_found(
     assert np.corrcoef(bundle.states[:, 3], states[:, 3])[0, 1] > 0.98
     assert math.radians(1.0) < bundle.mount.tilt_sigma < math.radians(4.0)
     assert np.median(bundle.pair_pixels) < 0.5
+
+
+def test_the_focal_length_of_a_camera_that_tilts_is_found(
+    flight: tuple[Float64Array, list[UInt8Array]],
+) -> None:
+    states, pictures = flight
+    features = [survey_features(picture) for picture in pictures]
+    guess = 1.3 * FOCAL
+    found = survey(features, Lens(guess, 0.0, RADIUS, LensPrior(math.log(guess), 0.5)))
+    bundle = found.maps[0].bundle
+    assert bundle.lens.focal_pixels == pytest.approx(FOCAL, rel=0.01)
+    np.testing.assert_allclose(bundle.states[:, 4:], states[:, 4:], atol=math.radians(0.2))
 
 
 def test_a_flight_in_any_order_is_one_map(

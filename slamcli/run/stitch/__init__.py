@@ -24,7 +24,7 @@ from slamcli.run.paint.scene import scenes_of
 from slamcli.run.paint.thumbnails import Thumbnails
 from slamcli.run.report import REPORT_NAME, write_report
 from slamcli.run.session.session import Session
-from slamcli.run.stitch import exports, oblique, on_earth, report, resume, survey
+from slamcli.run.stitch import describing, exports, oblique, on_earth, report, resume, survey
 from slamcli.run.stitch.debug_drawings import draw_trials
 from slamcli.run.stitch.drive import Drive, LocatedDrive, open_drive
 from slamcli.run.stitch.ground_scale import read_control, with_metres
@@ -207,11 +207,11 @@ def _size(located: LocatedDrive) -> tuple[int, int]:
 
 def _describe_frames(
     drive: Drive, session: Session
-) -> tuple[list[survey.Described], tuple[str, ...]]:
+) -> tuple[list[describing.Described], tuple[str, ...]]:
     """Return the features of all frames, and the names of those that vanished meanwhile."""
-    files, described, vanished = drive.inputs.files, list[survey.Described](), list[str]()
+    files, described, vanished = drive.inputs.files, list[describing.Described](), list[str]()
     missing = {file.index for file in files if not file.path.exists()}
-    stage = session.on_this_machine().stage("describing", survey.describe_file, files)
+    stage = session.on_this_machine().stage("describing", describing.describe_file, files)
     for file, one in zip(files, stage, strict=False):
         described.append(one)
         if not one.digest and file.index not in missing and not file.path.exists():
@@ -223,7 +223,7 @@ def _describe_frames(
 
 def _survey_frames(
     drive: Drive,
-    described: Sequence[survey.Described],
+    described: Sequence[describing.Described],
     vanished: tuple[str, ...],
     session: Session,
 ) -> LocatedDrive:

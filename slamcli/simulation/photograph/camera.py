@@ -23,16 +23,20 @@ def make_camera(options: CameraOptions) -> Calibration:
     centre_x, centre_y = image_centre(options.size)
     matrix = np.array([[focal, 0.0, centre_x], [0.0, focal, centre_y], [0.0, 0.0, 1.0]])
     pitch, roll = math.radians(options.pitch_degrees), math.radians(options.roll_degrees)
-    image_from_robot = image_from_robot_homography(matrix, options.height_metres, pitch, roll)
+    # Straight down, a roll about the optical axis would be a turn, and no tilt.
+    ahead = 0.0 if options.pitch_degrees == 90.0 else math.nan
+    mounting = options.height_metres, pitch, roll, ahead
+    image_from_robot = image_from_robot_homography(matrix, *mounting)
     return Calibration(
         camera_matrix=matrix,
         distortion=np.array([options.k1, options.k2, 0.0, 0.0, 0.0]),
         distortion_model="plumb_bob",
         image_size=options.size,
-        robot_from_image=compose_robot_from_image(matrix, options.height_metres, pitch, roll),
+        robot_from_image=compose_robot_from_image(matrix, *mounting),
         height_metres=options.height_metres,
         pitch_radians=pitch,
         roll_radians=roll,
+        ahead_radians=ahead,
         max_range_metres=choose_max_range(matrix, image_from_robot, options.size),
     )
 
