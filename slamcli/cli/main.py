@@ -116,7 +116,7 @@ def _packages() -> dict[str, str]:
 
 
 def _choose(context: click.Context, option: click.Parameter, value: bool) -> None:
-    """Take -v also where it stands before the command."""
+    """Take -v and -q also where they stand before the command."""
     from slamcli.cli.messages import choose
 
     choose(context, option, value)
@@ -131,6 +131,9 @@ def _choose(context: click.Context, option: click.Parameter, value: bool) -> Non
     expose_value=False,
     callback=_show_version,
     help="Show the version; with -v also those of Python and of what it works with.",
+)
+@click.option(
+    "-q", "quiet", is_flag=True, is_eager=True, expose_value=False, callback=_choose, hidden=True
 )
 @click.option(
     "-v", "verbose", is_flag=True, is_eager=True, expose_value=False, callback=_choose, hidden=True

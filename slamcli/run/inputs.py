@@ -18,6 +18,9 @@ from slamcli.io.frames import FrameFile, list_frames, of_camera
 from slamcli.io.images.unread import unread_note
 
 CALIBRATION_NAME = "calibration.yaml"
+# Notes on frames without a calibration: as they are opened, and where a camera was found for them.
+NO_CALIBRATION = "no calibration: top-down frames, pixel units"
+CAMERA_OF_FRAMES = "no calibration: the camera and the scale are found from the frames"
 # From so many files, evenly spread, the common size is taken when no calibration says it.
 _SIZE_SAMPLES = 15
 
@@ -75,8 +78,7 @@ def open_inputs(
     unread = unread_note(files)
     if path is None:
         calibration = top_down_calibration(_common_size(files))
-        note = "no calibration: top-down frames, pixel units"
-        return Inputs(files, calibration, None, _lines(note, *taken, unread))
+        return Inputs(files, calibration, None, _lines(NO_CALIBRATION, *taken, unread))
     calibration = load_calibration(path)
     if max_range_metres is not None:
         calibration = replace(calibration, max_range_metres=max_range_metres)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import numpy as np
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import pose_array
 from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
+from slamcli.io.containers.bag import is_bag
+from slamcli.io.containers.bag_readings import reading_topics
 from slamcli.io.telemetry import read_compass, read_gps, read_odometry
 from slamcli.mapping.backend.pose_graph import placed_fragments
 from slamcli.mapping.mapper import Mapper
@@ -53,6 +56,20 @@ class Telemetry:
     compass: list[CompassReading]
     gps: list[GpsReading]
     find_time_offset: bool
+
+
+def unused_note(sources: Sequence[Path], files: TelemetryFiles) -> str:
+    """Return which readings of bags are not used, as no option names them; empty for none."""
+    given = {"--odometry": files.odometry, "--gps": files.gps, "--compass": files.compass}
+    lines = []
+    for path in filter(is_bag, sources):
+        found = reading_topics(path)
+        unused = [f"{option} ({found[option]})" for option in found if given[option] is None]
+        if unused:
+            lines.append(
+                f"{path.name} also has readings for {', '.join(unused)}: name it there to use them"
+            )
+    return "\n".join(lines)
 
 
 def read_telemetry(

@@ -74,7 +74,7 @@ def test_the_stream_is_mapped_as_its_recording_is(
     poses = mapped / "map" / "poses.csv"
     assert max(errors_mm(rows_of(poses))) < 1.0
     assert (mapped / "map" / "mosaic.png").exists()
-    assert "5 frames placed or lost" in (mapped / "output.txt").read_text()
+    assert "5 frames used" in (mapped / "output.txt").read_text()
     done = slam("stitch", mapped / "kept", "-c", calibration, "-o", tmp_path / "again")
     assert done.exit_code == 0, done.output
     for name in ("poses.csv", "map.slam", "mosaic.png"):

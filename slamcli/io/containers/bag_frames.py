@@ -12,7 +12,6 @@ from slamcli.core.config import FrameSelection
 from slamcli.core.errors import FrameError, InputError
 from slamcli.io.containers import ros_image
 from slamcli.io.containers.bag import IMAGES, Bag, Message
-from slamcli.io.containers.bag_readings import readings_note
 from slamcli.io.containers.choice import Candidate, Counts, choose
 from slamcli.io.containers.part import Progress, silent
 from slamcli.io.images.decoding import CAMERA_BITS, Reading, decode, from_pixels, picture_size
@@ -91,9 +90,6 @@ def bag_frames(
         raise InputError(f"{path} has no frame that can be read in the part that was chosen")
     used = next(depth for depth in CAMERA_BITS if max(bits) <= depth)
     note = counts.note(f"{path.name}, {topic}", len(found))
-    readings = readings_note(bag)
-    if readings:
-        note += f"\n{path.name} also has {readings}: give it to these options too"
     return [
         BagFrame(bag, topic, one.record_ns, one.number, used, one.name, one.stamp, one.size, note)
         for one in sorted(found, key=lambda one: one.stamp)

@@ -44,11 +44,12 @@ def has_readings(path: Path) -> bool:
     return is_bag(split_topic(path)[0])
 
 
-def readings_note(bag: Bag) -> str:
-    """Return which readings a bag has, as the options that take them; empty for none."""
+def reading_topics(path: Path) -> dict[str, str]:
+    """Return the options that take a bag's readings, each with the topics that it would take."""
+    bag = Bag(path)
     kinds = {"--odometry": ODOMETRY, "--gps": POSITIONS, "--compass": HEADINGS}
     topics = {option: ", ".join(bag.topics(kind)) for option, kind in kinds.items()}
-    return ", ".join(f"{option} ({names})" for option, names in topics.items() if names)
+    return {option: names for option, names in topics.items() if names}
 
 
 def read_bag_odometry(path: Path) -> list[OdometryReading]:

@@ -25,7 +25,7 @@ from slamcli.io.poses import write_poses
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.command_report import Report
 from slamcli.run.frame_loop import read_and_prepare
-from slamcli.run.inputs import CALIBRATION_NAME, Inputs
+from slamcli.run.inputs import CALIBRATION_NAME, NO_CALIBRATION, Inputs
 from slamcli.run.live.page import LivePage
 from slamcli.run.live.recording import Recording, frame_of
 from slamcli.run.live.trackers import locating, mapping
@@ -217,8 +217,7 @@ def _calibration(path: Path | None, size: tuple[int, int]) -> tuple[Calibration,
         path = Path(CALIBRATION_NAME)
         note = f"calibration found: {path}"
     if path is None:
-        note = "no calibration: top-down frames, pixel units"
-        return top_down_calibration(size), None, note
+        return top_down_calibration(size), None, NO_CALIBRATION
     calibration = load_calibration(path)
     _check_size(calibration, size, path)
     return calibration, path, note

@@ -88,8 +88,8 @@ class LivePage:
     def counts(self) -> str:
         """What became of the camera's pictures, in one line."""
         return (
-            f"{self._source}: {self._frames} frames placed or lost, {self._camera.skipped} skipped "
-            f"while one was being placed, {self._counts.standing} left out where the camera stands"
+            f"{self._source}: {self._frames} frames used, {self._camera.skipped} skipped while "
+            f"one was being placed, {self._counts.standing} left out where the camera stands"
         )
 
     @property

@@ -14,7 +14,7 @@ from slamcli.core.telemetry import Georeference
 from slamcli.io.map_file import map_path
 from slamcli.io.toml import Scalar
 from slamcli.mapping.mapper import Mapper
-from slamcli.run.inputs import Inputs, open_inputs
+from slamcli.run.inputs import CAMERA_OF_FRAMES, NO_CALIBRATION, Inputs, open_inputs
 from slamcli.run.networks import with_match_network, with_point_network
 from slamcli.run.paint import outputs
 from slamcli.run.paint.thumbnails import Thumbnails
@@ -23,7 +23,7 @@ from slamcli.run.stitch import exports
 from slamcli.run.stitch.extend import open_extension
 from slamcli.run.stitch.options import StitchOptions
 from slamcli.run.stitch.static_light import without_static_light
-from slamcli.run.telemetry import Telemetry, TelemetryFiles, feed, read_telemetry
+from slamcli.run.telemetry import Telemetry, TelemetryFiles, feed, read_telemetry, unused_note
 from slamcli.selfcal import RegisteredDrive, SelfCalibration
 
 
@@ -117,6 +117,13 @@ class LocatedDrive:
         return self.registered.calibration
 
     @property
+    def note(self) -> str:
+        """What was chosen and left out of the inputs, as the frames turned out to be."""
+        if self.calibration.unit == "px":
+            return self.drive.inputs.note
+        return self.drive.inputs.note.replace(NO_CALIBRATION, CAMERA_OF_FRAMES)
+
+    @property
     def georeferences(self) -> dict[int, Georeference]:
         """Where on Earth each map lies, as far as it is known."""
         return self.on_earth or self.mapper.georeferences
@@ -160,6 +167,8 @@ def open_drive(
             options.selection,
             session.progress,
         )
+        unused = unused_note(sources, telemetry_files)
+        inputs = replace(inputs, note="\n".join(filter(None, (inputs.note, unused))))
     else:
         _check_extension(options, calibration_path, telemetry_files)
         extension = open_extension(options.extend, sources, options.frame_rate)

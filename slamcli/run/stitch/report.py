@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,10 +30,10 @@ def report(
     interrupted: bool,
 ) -> Report:
     """Return the closing table; its first lines give the reason of any exit code but 0."""
-    estimates, inputs = located.estimates, located.drive.inputs
+    estimates = located.estimates
     placed = [e.map_from_robot for e in estimates if e.map_from_robot is not None]
     code = of_placement(len(placed), len(estimates), strict=located.drive.options.strict)
-    lines = [inputs.note] if inputs.note else []
+    lines = [located.note] if located.note else []
     if interrupted:
         code = ExitCode.INTERRUPTED
         lines.append("interrupted: written is what there was; --resume continues from there")
@@ -48,7 +49,7 @@ def report(
     rows = [
         *_map_rows(located, painted),
         ("time", f"{seconds:.1f} s, {located.reached / seconds:.1f} frames/s"),
-        ("written to", str(output)),
+        ("written to", f"{output}; to look at it: {shlex.join(['slam', 'view', str(output)])}"),
         *_use_rows(located),
     ]
     lines += [f"{name:<12} {value}" for name, value in rows]
@@ -88,7 +89,7 @@ def finished(located: LocatedDrive, painted: PaintedMaps, command: str) -> Finis
     drive, survey = located.drive, located.survey
     return FinishedRun(
         title=", ".join(source.resolve().name for source in drive.sources),
-        note=drive.inputs.note,
+        note=located.note,
         # The page lists lost frames in a table of their own.
         rows=[row for row in _map_rows(located, painted) if row[0] != "lost"],
         command=command,

@@ -172,8 +172,8 @@ def _rows(found: Survey) -> tuple[tuple[str, str], ...]:
         return ()
     mount, lens = found.maps[0].bundle.mount, found.maps[0].bundle.lens
     text = (
-        f"looks down with six degrees of freedom: tilt {math.degrees(mount.tilt_sigma):.2g}°, "
-        f"height {mount.scale_sigma:.2g} of itself from frame to frame, "
+        f"looks down with six degrees of freedom: tilt ±{math.degrees(mount.tilt_sigma):.2g}°, "
+        f"height ±{mount.scale_sigma:.1%} from frame to frame, "
         f"lens bends the corners by {lens.bend:.1%}"
     )
     rows = [("camera", text)]

@@ -16,7 +16,7 @@ from bag_files import START, BagWriter, write_bag
 from slamcli.core.config import FrameSelection
 from slamcli.core.errors import CalibrationError, FrameError, InputError
 from slamcli.io.calibrations import load_intrinsics
-from slamcli.io.containers.bag_readings import antenna_metres
+from slamcli.io.containers.bag_readings import antenna_metres, reading_topics
 from slamcli.io.frames import list_frames, read_frame
 from slamcli.io.telemetry import read_compass, read_gps, read_odometry
 
@@ -135,9 +135,8 @@ def test_readings_are_those_that_were_recorded(tmp_path: Path, name: str) -> Non
     assert lens.camera_matrix[0, 0] == 50.0
     with pytest.raises(CalibrationError, match=r"choose one, as .*:/camera/camera_info"):
         load_intrinsics(path)
-    part = list_frames([path])[0].part
-    assert part is not None
-    assert "--odometry (/odom), --gps (/fix), --compass (/imu)" in part.note
+    topics = {"--odometry": "/odom", "--gps": "/fix", "--compass": "/imu"}
+    assert reading_topics(path) == topics
 
 
 def test_several_topics_of_odometry_are_told_apart(tmp_path: Path) -> None:

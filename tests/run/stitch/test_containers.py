@@ -16,6 +16,7 @@ import slamcli
 from slamcli.core.geometry import Pose2
 from slamcli.io.calibrations import load_intrinsics, save_calibration
 from slamcli.io.telemetry import read_compass, read_gps, read_odometry
+from slamcli.run.telemetry import TelemetryFiles, unused_note
 from slamcli.simulation import photograph
 
 POSES = [Pose2(0.03 * k, 0.0, 0.05 * k) for k in range(6)]
@@ -152,6 +153,13 @@ def test_the_readings_of_a_bag_are_those_of_its_tables(bag: Path, tmp_path: Path
     assert read_gps(bag) == read_gps(tmp_path / "gps.csv")
     assert read_compass(bag)[0].heading_radians == pytest.approx(0.5)
     assert read_compass(tmp_path / "compass.csv")[0].sigma_radians == pytest.approx(0.1)
+
+
+def test_readings_of_a_bag_that_no_option_names_are_listed(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "drive.bag", [], lambda writer: writer.imu(0.0, 0.5))
+    assert unused_note([path], TelemetryFiles(compass=path)) == ""
+    listed = "drive.bag also has readings for --compass (/imu): name it there to use them"
+    assert unused_note([path, tmp_path], TelemetryFiles(gps=path)) == listed
 
 
 def test_one_time_step_is_given_once(drive: Path) -> None:
