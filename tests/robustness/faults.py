@@ -21,6 +21,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, fields
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -43,9 +44,7 @@ _LARGE = {
     "319.5": "959.5",
     "239.5": "539.5",
 }
-_PROGRESS = re.compile(r"[a-z ]+ \d+/\d+$")
-# Between two lines of a small drive.
-_SECONDS_A_LINE = 0.3
+_PROGRESS = re.compile(r"[a-z ]+ \d+/\d+, .*")
 _CODES = {0, 1, 3, 130}
 
 
@@ -86,10 +85,27 @@ class Drive:
         if not self.frames.is_dir():
             self._make(size, count)
         whole = folder / "whole"
-        code, said = self.run(whole, "--overwrite")
-        assert code == 0, said
-        self.lines = sum(_PROGRESS.fullmatch(line) is not None for line in said.splitlines())
+        self.gaps_seconds = self._time(whole)
         self.expected = contents(whole)
+
+    def _time(self, output: Path) -> list[float]:
+        """Run to the end; return the seconds before each line of progress, and after the last."""
+        times, said = [time.monotonic()], ""
+        with subprocess.Popen(
+            self.command(output, "--overwrite"),
+            stderr=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            text=True,
+            env=_environment(),
+        ) as process:
+            assert process.stderr is not None
+            for line in process.stderr:
+                said += line
+                if _PROGRESS.fullmatch(line.strip()):
+                    times.append(time.monotonic())
+        assert process.returncode == 0, said
+        times.append(time.monotonic())
+        return [after - before for before, after in pairwise(times)]
 
     def _make(self, size: str, count: int) -> None:
         making = self.folder / "making"
@@ -152,10 +168,13 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def kill(drive: Drive, output: Path, line: float, ending: tuple[signal.Signals, ...]) -> Outcome:
-    """End a run by signals after a number of lines of progress; a fraction is a delay after it."""
+    """End a run by signals after a number of lines of progress.
+
+    A fraction is that of the time to the next line.
+    """
 
     def end(process: subprocess.Popen[str]) -> None:
-        time.sleep(line % 1 * _SECONDS_A_LINE)
+        time.sleep(line % 1 * drive.gaps_seconds[int(line)])
         for number in ending:
             process.send_signal(number)
             time.sleep(0.05)
@@ -237,7 +256,7 @@ def at_line(
             line = process.stderr.readline()
             if not line:
                 break
-            said, lines = said + line, lines + 1
+            said, lines = said + line, lines + (_PROGRESS.fullmatch(line.strip()) is not None)
         fault(process)
         out, rest = process.communicate()
     return process.returncode, said + rest + out
@@ -290,8 +309,8 @@ _SLAM = [sys.executable, "-m", "slamcli"]
 def cases(drive: Drive, kills: int, disks: int, output: Path) -> Iterator[Callable[[], Outcome]]:
     """Yield all cases, in their order."""
     for number in range(kills):
-        # From the start to the last line of painting, after which the results are written.
-        line, ending = (drive.lines + 1.5) * number / kills, ENDINGS[number % len(ENDINGS)]
+        # From the start to the end, after the last line, when the results are written.
+        line, ending = len(drive.gaps_seconds) * number / kills, ENDINGS[number % len(ENDINGS)]
         yield lambda line=line, ending=ending: kill(drive, output, line, ending)
     total = sum(map(len, drive.expected.values()))
     for number in range(disks):
