@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -77,28 +76,23 @@ def simulate(
         options = _laid_out(options, layout)
     _check_size(options.camera.size)
     calibration = photograph.make_camera(options.camera)
-    # Before the drive's own photographer: each has the rays of a whole picture.
-    square = _photograph_square(calibration, options)
     poses = _poses(options)
     # The course's floor is laid around its board, not around the first frame's robot.
     world_from_map = COURSE_START if options.floor == "course" else Pose2()
     world = _world(options, calibration, poses, world_from_map)
-    photographer = photograph.Photographer(
-        world,
-        calibration,
-        options.imaging,
-        options.seed,
-    )
     count = len(poses) - 1
     names = [f"{index:04d}.jpg" for index in range(count)]
     stamps = [index / options.frame_rate_hertz for index in range(count)]
     with output_folder(
         output, PRODUCTS, inputs=[Path(options.floor)], overwrite=overwrite
     ) as staging:
-        moves = [(world_from_map @ a, world_from_map @ b) for a, b in pairwise(poses)]
-        jobs = list(zip(range(count), moves, stamps, strict=True))
-        work = partial(_take, photographer, options)
-        for name, image in zip(names, session.stage("taking frames", work, jobs), strict=True):
+        # Before the drive's own photographer: each has the rays of a whole picture.
+        photographed = partial(_photograph_square, calibration)
+        (square,) = session.stage("photographing the square", photographed, [options])
+        photographer = photograph.Photographer(world, calibration, options.imaging, options.seed)
+        work = partial(_take, photographer, options, poses, world_from_map)
+        images = session.stage("taking frames", work, range(count))
+        for name, image in zip(names, images, strict=True):
             write_image(staging / "frames" / name, image, jpeg_quality=options.jpeg_quality)
         write_image(staging / "square.png", square)
         telemetry.write_truth(staging / "truth.csv", names, stamps, poses[:-1])
@@ -218,9 +212,12 @@ def _poses(options: SimulationOptions) -> list[Pose2]:
 def _take(
     photographer: photograph.Photographer,
     options: SimulationOptions,
-    job: tuple[int, tuple[Pose2, Pose2], float],
+    poses: Sequence[Pose2],
+    world_from_map: Pose2,
+    index: int,
 ) -> UInt8Array:
-    index, move, stamp = job
+    move = world_from_map @ poses[index], world_from_map @ poses[index + 1]
+    stamp = index / options.frame_rate_hertz
     generator = np.random.default_rng([options.seed, _FRAMES, index])
     return photograph.take(photographer, move, stamp, options.disturbances, generator)
 
