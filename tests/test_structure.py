@@ -32,6 +32,7 @@ ONE_ROOM = {
     "av": ("io/containers/video",),
     "imageio": ("io/containers/pages",),
     "pillow_heif": ("io/containers/heic",),
+    "rerun": ("io/rerun_recording",),
     "rosbags": ("io/containers/bag",),
     "dask": ("run/session/cluster",),
     "distributed": ("run/session/cluster",),

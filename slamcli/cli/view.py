@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from slamcli.cli.command import command
+from slamcli.cli.options import common
 from slamcli.cli.options.values import PATH, Whole
 from slamcli.core.bounds import Bounds
 
@@ -20,7 +21,14 @@ from slamcli.core.bounds import Bounds
     help="Port of this machine that the browser connects to. Default: a free one.",
 )
 @click.option("--browser/--no-browser", default=True, help="Open it in the browser.")
-def view(run: Path, port: int, *, browser: bool) -> None:
+@click.option(
+    "--rerun",
+    type=PATH,
+    metavar="FILE.rrd",
+    help="Write a recording for rerun's viewer instead: floor, path, loops, every frame's picture.",
+)
+@common.overwrite
+def view(run: Path, port: int, rerun: Path | None, *, browser: bool, overwrite: bool) -> None:
     """Show the report of a map in the browser.
 
     RUN is the output folder of `slam stitch`. The report is served to this machine alone, with the
@@ -29,7 +37,9 @@ def view(run: Path, port: int, *, browser: bool) -> None:
     from slamcli.run.view import view as run_view
 
     try:
-        run_view(run, port=port, browser=browser, notify=click.echo)
+        run_view(
+            run, port=port, browser=browser, rerun=rerun, overwrite=overwrite, notify=click.echo
+        )
     except KeyboardInterrupt:
         # The way to end it.
         click.echo("ended")

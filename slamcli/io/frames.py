@@ -30,6 +30,8 @@ from slamcli.io.picture_files import Listed, listed, stamped
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
 )
+# Of drives that were simulated or extracted, and of TUM's sequences.
+_INNER_FOLDERS = ("frames", "rgb")
 _DEEP_SUFFIXES = frozenset({".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff"})
 _MAX_SAMPLE_BITS = 16
 
@@ -101,7 +103,7 @@ def list_frames(
 ) -> list[FrameFile]:
     """Return the pictures of folders, files, videos and bags, naturally sorted within each folder.
 
-    A folder without pictures of its own stands for its ``frames`` folder. What this program drew
+    A folder stands for the ``frames`` or ``rgb`` folder in it. What this program drew
     is no frame of a folder.
 
     Parameters
@@ -214,9 +216,9 @@ def _pictures_in(folder: Path) -> list[Path]:
         entries = list(folder.iterdir())
     except OSError as error:
         raise InputError(f"cannot list {folder}: {error.strerror or error}") from error
-    inner = folder / "frames"
-    if inner.is_dir() and inner in entries:
-        return _pictures_in(inner)
+    for inner in (folder / name for name in _INNER_FOLDERS):
+        if inner.is_dir() and inner in entries:
+            return _pictures_in(inner)
     suffixes = IMAGE_SUFFIXES | (HEIC_SUFFIXES if can_read_heic() else frozenset())
     pictures = [
         path

@@ -14,6 +14,7 @@ from slamcli.io.files import read_text
 from slamcli.io.loopback import Answer, LoopbackServer
 from slamcli.io.raster.deepzoom import read_position
 from slamcli.run.report import REPORT_NAME
+from slamcli.run.rerun_export import export_rerun
 
 _TILE = re.compile(r"/(mosaic(?:_\d+)?_files/\d+/\d+_\d+\.png)")
 _NAME = re.compile(r"mosaic(?:_(\d+))?\.dzi\.json")
@@ -24,7 +25,15 @@ _NOTHING = base64.b64decode(
 )
 
 
-def view(run: Path, *, port: int, browser: bool, notify: Callable[[str], None]) -> None:
+def view(
+    run: Path,
+    *,
+    port: int,
+    browser: bool,
+    rerun: Path | None = None,
+    overwrite: bool = False,
+    notify: Callable[[str], None],
+) -> None:
     """Serve the report of a run on this machine until the user interrupts.
 
     Parameters
@@ -33,13 +42,20 @@ def view(run: Path, *, port: int, browser: bool, notify: Callable[[str], None]) 
         Output folder of `slam stitch`, or a file in it.
     browser : bool
         Open it in the user's browser.
+    rerun : Path or None
+        Write a recording for rerun's viewer instead.
+    overwrite : bool
+        Replace an earlier recording.
     notify : callable
-        Takes the line with the address.
+        Takes the line with the address, or on the recording.
 
     Raises
     ------
-    InputError
+    InputError, MapError, OutputError
     """
+    if rerun is not None:
+        notify("\n".join(export_rerun(run, rerun, overwrite=overwrite)))
+        return
     server = open_server(run, port)
     notify(f"{server.address} shows {run}; Ctrl-C ends it")
     if browser:

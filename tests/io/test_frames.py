@@ -37,6 +37,17 @@ def test_names_sort_as_people_count(tmp_path: Path) -> None:
     assert [f.name for f in list_frames([tmp_path])] == ["Frame1.png", "frame2.png", "frame10.png"]
 
 
+def test_a_folder_of_tum_stands_for_its_colour_pictures_by_their_stamps(tmp_path: Path) -> None:
+    for name in ("rgb", "depth"):
+        (tmp_path / name).mkdir()
+        for stamp in ("1305031102.211214", "1305031102.175304"):
+            save(tmp_path / name / f"{stamp}.png")
+    (tmp_path / "rgb.txt").write_text("# color images")
+    files = list_frames([tmp_path])
+    assert [file.path.parent.name for file in files] == ["rgb", "rgb"]
+    assert [file.stamp for file in files] == [1305031102.175304, 1305031102.211214]
+
+
 def test_a_folder_stands_for_its_frames_folder(tmp_path: Path) -> None:
     (tmp_path / "frames").mkdir()
     save(tmp_path / "frames" / "0.png")

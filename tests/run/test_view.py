@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import http.client
+import sys
 import threading
+import types
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from command_line import slam
 
+from slamcli.io import rerun_recording
 from slamcli.io.loopback import LoopbackServer
+from slamcli.io.map_file import load_map
 from slamcli.run.report import REPORT_NAME
 from slamcli.run.view import open_server
 
@@ -64,3 +70,67 @@ def test_what_cannot_be_shown_is_one_line(server: LoopbackServer, tmp_path: Path
     result = slam("view", tmp_path / "out", "--port", port, "--no-browser")
     assert result.exit_code == 1
     assert "give another --port" in result.output
+
+
+def test_a_recording_for_rerun_has_the_map_and_the_frames(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    logged: list[tuple[str, dict[str, object]]] = []
+    module = stand_in_for_rerun(logged)
+    monkeypatch.setitem(sys.modules, "rerun", module)
+    monkeypatch.setattr(rerun_recording, "find_spec", lambda _: module)
+    assert slam("stitch", drive, "-o", tmp_path / "out").exit_code == 0
+    result = slam("view", tmp_path / "out", "--rerun", tmp_path / "out.rrd")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "out.rrd").read_bytes() == b"recorded"
+    names = [name for name, _ in logged]
+    assert names.count("camera") == 5
+    # The floor's corners: the mosaic spans the path, and floor ahead of it.
+    floor = next(values["vertex_positions"] for name, values in logged if name == "map/mosaic")
+    assert np.ptp(np.asarray(floor), axis=0) == pytest.approx(mosaic_metres(tmp_path / "out"))
+    places = [v["translation"] for name, v in logged if name == "map/robot" and "translation" in v]
+    truth = [estimate.map_from_robot for estimate in load_map(tmp_path / "out").estimates]
+    assert np.asarray(places)[:, :2] == pytest.approx(
+        np.array([(pose.x, pose.y) for pose in truth if pose is not None])
+    )
+    again = slam("view", tmp_path / "out", "--rerun", tmp_path / "out.rrd")
+    assert again.exit_code == 1
+    assert "--overwrite" in again.output
+
+
+def test_without_rerun_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rerun_recording, "find_spec", lambda _: None)
+    result = slam("view", tmp_path, "--rerun", tmp_path / "out.rrd")
+    assert result.exit_code == 1
+    assert "pip install 'slamcli[rerun]'" in result.output
+
+
+def mosaic_metres(run: Path) -> tuple[float, float, float]:
+    height, width = cv2.imread(str(run / "mosaic.png")).shape[:2]
+    scale = float((run / "mosaic.pgw").read_text().split()[0])
+    return width * scale, height * scale, 0.0
+
+
+def stand_in_for_rerun(logged: list[tuple[str, dict[str, object]]]) -> types.ModuleType:
+    """Return a module with the part of rerun's interface that is used; rerun is 700 MB."""
+
+    class Recording:
+        def __init__(self, name: str, recording_id: str) -> None:
+            pass
+
+        def save(self, path: Path) -> None:
+            path.write_bytes(b"recorded")
+
+        def log(self, name: str, what: object, *, static: bool = False) -> None:
+            logged.append((name, what if isinstance(what, dict) else {}))
+
+        def __getattr__(self, name: str) -> object:
+            return lambda *_, **__: None
+
+    module = types.ModuleType("rerun")
+    kinds = ("Mesh3D", "LineStrips3D", "Arrows3D", "EncodedImage", "TextLog", "Transform3D")
+    for kind in (*kinds, "Quaternion", "Scalars"):
+        setattr(module, kind, lambda *given, **named: {"given": given, **named})
+    module.__dict__["RecordingStream"] = Recording
+    module.__dict__["ViewCoordinates"] = types.SimpleNamespace(RIGHT_HAND_Z_UP=None)
+    return module
