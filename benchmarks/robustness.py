@@ -1,25 +1,25 @@
 """Robustness: frames placed, placed falsely, and their error, over floors x disturbances.
 
-Run: python benchmarks/robustness.py [--floors a,b] [--disturbances c,d] [--frames N] [--workers N]
-[--json FILE]. Each cell drives a simulated camera around a circle; the plain chain beside it gets
-the same bird's-eye views by the true homography: ORB, ratio test, cv2.estimateAffinePartial2D.
-A frame is falsely placed when the motion that places it is over 5 cm or 2 degrees off the truth.
+Run: python benchmarks/robustness.py [--floors a,b] [--disturbances c,d] [--frames N] [--csv FILE]
+[--shard I/N] [--limit N] [--summary] [--reasons]. Each cell drives a simulated camera around a
+circle; the plain chain beside it gets the same bird's-eye views by the true homography: ORB, ratio
+test, cv2.estimateAffinePartial2D. A frame is falsely placed when the motion that places it is over
+5 cm or 2 degrees off the truth.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from itertools import pairwise, product
 from pathlib import Path
 
 import cv2
 import numpy as np
+import sweep
 from numpy.typing import NDArray
 
 from slamcli.core.camera.calibration import Calibration
@@ -106,6 +106,16 @@ DISTURBANCES = {
     "rocking": Disturbance(DisturbanceOptions(rocking_degrees=0.5)),
     "jpeg": Disturbance(jpeg_quality=30),
 }
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A world by its name, a disturbance, and the drive's frames and seed."""
+
+    floor: str
+    disturbance: str
+    frames: int
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -297,49 +307,49 @@ def outcome(
     return Outcome(placed / count, false / count, 1e3 * rms, 1e3 * worst, fragments)
 
 
-def run_cell(job: tuple[str, str, int, int]) -> tuple[str, str, Outcome, Outcome, list[str]]:
-    """Run one cell of the table."""
-    floor, disturbance, count, seed = job
-    cv2.setNumThreads(1)
-    drive_of = take_frames(WORLDS[floor], DISTURBANCES[disturbance], count, seed)
+def run_cell(cell: Cell, *, reasons: bool) -> sweep.Row:
+    """Run one cell of the table; print its false and lost frames where that is wanted."""
+    drive_of = take_frames(
+        WORLDS[cell.floor], DISTURBANCES[cell.disturbance], cell.frames, cell.seed
+    )
     ours, lines = run_slam(*drive_of)
-    return floor, disturbance, ours, run_plain(*drive_of), lines
+    if reasons:
+        print("\n".join(lines), flush=True)
+    plain = {f"plain_{name}": value for name, value in asdict(run_plain(*drive_of)).items()}
+    return asdict(ours) | plain
 
 
-def main() -> None:
-    """Run the cells and print the table, ours / plain ORB."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--floors", default=",".join(FLOORS), help=", ".join(WORLDS))
-    parser.add_argument("--disturbances", default=",".join(DISTURBANCES))
-    parser.add_argument("--frames", type=int, default=60)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=os.cpu_count())
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--reasons", action="store_true", help="print why frames were lost")
-    arguments = parser.parse_args()
-    cells = product(arguments.floors.split(","), arguments.disturbances.split(","))
-    jobs = [(floor, kind, arguments.frames, arguments.seed) for floor, kind in cells]
-    rows = []
+def print_table(rows: list[dict[str, str]]) -> None:
+    """Print the rows, ours / plain ORB."""
     print(
         "| floor | disturbance | placed | false | RPE mm (worst) | fragments "
         "| plain: placed | false | RPE mm |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
-    with ProcessPoolExecutor(arguments.workers) as executor:
-        for floor, kind, ours, plain, lines in executor.map(run_cell, jobs):
-            print(
-                f"| {floor} | {kind} | {ours.placed:.0%} | {ours.false:.0%} "
-                f"| {ours.rpe_millimetres:.2f} ({ours.worst_millimetres:.1f}) | {ours.fragments} "
-                f"| {plain.placed:.0%} | {plain.false:.0%} | {plain.rpe_millimetres:.2f} |",
-                flush=True,
-            )
-            if arguments.reasons:
-                print("\n".join(lines), flush=True)
-            rows.append(
-                {"floor": floor, "disturbance": kind, **asdict(ours), "plain": asdict(plain)}
-            )
-    if arguments.json:
-        arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
+    for row in rows:
+        ours, plain = (
+            [float(row[f"{prefix}{field_of.name}"]) for field_of in fields(Outcome)]
+            for prefix in ("", "plain_")
+        )
+        print(
+            f"| {row['floor']} | {row['disturbance']} | {ours[0]:.0%} | {ours[1]:.0%} "
+            f"| {ours[2]:.2f} ({ours[3]:.1f}) | {ours[4]:.0f} "
+            f"| {plain[0]:.0%} | {plain[1]:.0%} | {plain[2]:.2f} |"
+        )
+
+
+def main() -> None:
+    """Run the cells that the file does not have yet, and print the table of all of them."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    sweep.add_arguments(parser)
+    parser.add_argument("--floors", default=",".join(FLOORS), help=", ".join(WORLDS))
+    parser.add_argument("--disturbances", default=",".join(DISTURBANCES))
+    parser.add_argument("--frames", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    kinds = product(arguments.floors.split(","), arguments.disturbances.split(","))
+    cells = [Cell(*kind, arguments.frames, arguments.seed) for kind in kinds]
+    print_table(sweep.run(cells, lambda cell: run_cell(cell, reasons=arguments.reasons), arguments))
 
 
 if __name__ == "__main__":
