@@ -22,6 +22,7 @@ from slamcli.core.records import PyramidLevel
 from slamcli.core.robust import SIGMA_PER_MAD
 from slamcli.stages.dense import rocking
 from slamcli.stages.dense.covariance import FitState, NormalEquations, covariance_of
+from slamcli.stages.dense.noise_points import without_noise
 from slamcli.stages.dense.photometric_residuals import (
     MIN_TEMPLATE_PIXELS,
     LevelResiduals,
@@ -174,12 +175,14 @@ def _coarse_to_fine(
     for level_a, level_b in zip(reversed(levels_a), reversed(levels_b), strict=True):
         if len(level_a.points) < MIN_TEMPLATE_PIXELS:
             return None
+        finest = level_a is levels_a[0]
+        level_a = without_noise(level_a, level_b, model, state)
         # A sample of the points converges first: all of them then take a step or two.
         samples = [_sampled(level_a)] if len(level_a.points) > _SAMPLE_POINTS else []
-        if level_a is levels_a[0]:
+        if finest:
             samples.append(level_a)
         for sample in samples or [level_a]:
-            last = level_a is levels_a[0] and len(samples) < 2
+            last = finest and len(samples) < 2
             min_pixels = _CONVERGED_PIXELS if last else _NEARLY_CONVERGED_PIXELS
             solved = _refine_level(sample, level_b, model, state, min_pixels)
             if solved is None:
