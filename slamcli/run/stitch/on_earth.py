@@ -22,6 +22,10 @@ from slamcli.selfcal import RegisteredDrive
 from slamcli.stages.geodesy import LocalPlane
 from slamcli.survey.ground import Ground, below_camera, fit_ground
 
+# A photo that looks farther off straight down shows the ground in perspective, and what stands on
+# it. [guarded by tests/run/stitch/test_photos.py]
+_MAX_OFF_NADIR_DEGREES = 20.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scale:
@@ -71,7 +75,8 @@ def on_earth(located: LocatedDrive) -> LocatedDrive:
         first,
     )
     found = replace(located, registered=registered, on_earth=georeferences)
-    return _with_row(found, *_described(scales, infos, located))
+    found = _with_row(found, *_described(scales, infos, located))
+    return _with_row(found, *_gimbal(found, infos), name="gimbal")
 
 
 def _scale_of(
@@ -219,6 +224,37 @@ def _described(
     return text, section
 
 
+def _gimbal(located: LocatedDrive, infos: Sequence[PhotoInfo]) -> tuple[str, dict[str, float]]:
+    """Return the row on the gimbal's angles, against the map's, and the same for run.toml.
+
+    The picture's up is the gimbal's yaw; it lies a quarter turn from the x axis of a pose.
+    """
+    tilted = sum(
+        info.pitch_degrees is not None and info.pitch_degrees > _MAX_OFF_NADIR_DEGREES - 90.0
+        for info in infos
+    )
+    turns = [
+        math.radians(info.yaw_degrees) + located.on_earth[one.fragment].east_north_from_map.theta
+        + one.map_from_robot.theta
+        for one in located.registered.estimates
+        if (info := infos[one.index]).yaw_degrees is not None
+        and one.fragment in located.on_earth
+        and one.map_from_robot is not None
+    ]  # fmt: skip
+    texts, section = list[str](), dict[str, float]()
+    if turns:
+        apart = np.exp(1j * np.array(turns))
+        median = float(np.median(np.angle(apart, deg=True)))
+        section["gimbal_yaw_off_degrees"] = median
+        texts.append(f"yaw {median:+.1f}° from the map's direction by GPS, median of {len(turns)}")
+    if tilted:
+        texts.append(
+            f"{tilted} of {len(infos)} photos look more than {_MAX_OFF_NADIR_DEGREES:g}° off "
+            "straight down; leave them out"
+        )
+    return "; ".join(texts), section
+
+
 def _unknown(infos: Sequence[PhotoInfo]) -> str:
     """Return why the scale is not known; empty when no photo could tell."""
     count = sum(info.place_degrees is not None for info in infos)
@@ -227,11 +263,13 @@ def _unknown(infos: Sequence[PhotoInfo]) -> str:
     return f"not known: the GPS of {count} photos is too uncertain for how far apart they are"
 
 
-def _with_row(located: LocatedDrive, text: str, section: Mapping[str, float]) -> LocatedDrive:
-    """Return the drive with a row on its scale."""
+def _with_row(
+    located: LocatedDrive, text: str, section: Mapping[str, float], name: str = "scale"
+) -> LocatedDrive:
+    """Return the drive with one more row on its survey."""
     if located.survey is None or not text:
         return located
-    rows = (*located.survey.rows, ("scale", text))
+    rows = (*located.survey.rows, (name, text))
     facts = SurveyFacts(rows, {**located.survey.section, **section})
     assert all(map(math.isfinite, section.values()))
     return replace(located, survey=facts)

@@ -56,7 +56,8 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
         )
         dji = {
             "RelativeAltitude": f"{METRES * FOCAL * math.exp(log_scale):+.2f}",
-            "GimbalPitchDegree": "-90.0",
+            "GimbalPitchDegree": "-90.0" if number else "-55.0",
+            "GimbalYawDegree": f"{3.0 - math.degrees(heading + HEADING):+.1f}",
             "RtkStdLat": f"{GPS_METRES}",
             "RtkStdLon": f"{GPS_METRES}",
         }
@@ -73,6 +74,9 @@ def test_a_folder_of_a_drones_photos_is_a_map_on_earth(
     assert "by the GPS of 5 of 6 photos" in result.output
     run = tomllib.loads((tmp_path / "map" / "run.toml").read_text())
     assert run["survey"]["metres_per_unit_by_height"] == pytest.approx(METRES, rel=0.03)
+    # The simulated gimbal's compass is 3 degrees off.
+    assert run["survey"]["gimbal_yaw_off_degrees"] == pytest.approx(3.0, abs=1.5)
+    assert "1 of 6 photos look more than 20° off straight down" in result.output
     on_earth = run["georeference"]
     assert on_earth["gps_outliers"] == 1
     rows = read_rows(tmp_path / "map" / "poses.csv")
