@@ -45,8 +45,8 @@ _camera = section(
             "mount",
             "--mount",
             click.Choice(["auto", "rigid", "free"]),
-            "How a camera without a calibration is carried: rigid, always at one height and "
-            "straight down; free, with height and tilt that vary; auto finds out.",
+            "How the camera is carried: rigid, as on a robot (without a calibration: at one height "
+            "and straight down); free, with height and tilt that vary, as by hand; auto finds out.",
             default="auto",
         ),
     ),

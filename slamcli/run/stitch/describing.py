@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from slamcli.core.errors import FrameError
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.io.images.canvas import canvas_scale
+from slamcli.run.session.session import Session
 from slamcli.survey import SurveyFeatures, survey_features
+from slamcli.survey.ideal_picture import IdealPicture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,13 +25,35 @@ class Described:
     digest: bytes = b""
 
 
-def describe_file(file: FrameFile) -> Described:
-    """Return a frame's features."""
+def describe_file(file: FrameFile, ideal: IdealPicture | None = None) -> Described:
+    """Return a frame's features; of its ideal picture where the camera is known."""
     try:
         frame = read_frame(file, gray=True)
     except FrameError as error:
         return Described(None, str(error))
-    return Described(survey_features(frame.image, frame.mask), digest=frame.digest)
+    image, mask = frame.image, frame.mask
+    if ideal is not None:
+        if image.shape != ideal.usable.shape:
+            return Described(None, "of another size than the calibration", frame.digest)
+        image, mask = ideal.of(image, mask)
+    return Described(survey_features(image, mask), digest=frame.digest)
+
+
+def describe_frames(
+    files: Sequence[FrameFile], session: Session, ideal: IdealPicture | None = None
+) -> tuple[list[Described], tuple[str, ...]]:
+    """Return the features of all frames, and the names of those that vanished meanwhile."""
+    described, vanished = list[Described](), list[str]()
+    missing = {file.index for file in files if not file.path.exists()}
+    work = partial(describe_file, ideal=ideal)
+    stage = session.on_this_machine().stage("describing", work, files)
+    for file, one in zip(files, stage, strict=False):
+        described.append(one)
+        if not one.digest and file.index not in missing and not file.path.exists():
+            vanished.append(file.name)
+        if session.interruption.stops_here():
+            break
+    return described, tuple(vanished)
 
 
 def on_canvas(one: Described, canvas: tuple[int, int]) -> SurveyFeatures:

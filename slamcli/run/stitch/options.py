@@ -42,8 +42,8 @@ class StitchOptions:
     selection : FrameSelection
         Which frames of a video are used.
     mount : str
-        How a camera without a calibration is carried: ``rigid`` holds it to three degrees of
-        freedom, ``free`` to six; ``auto`` finds out.
+        How the camera is carried: ``rigid`` leaves it three degrees of freedom, ``free`` six;
+        ``auto`` finds out.
     height_metres : float or None
         Of a camera without a calibration; None leaves the unit of length to the frames.
     scale : ScaleBar or None

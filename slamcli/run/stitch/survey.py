@@ -23,6 +23,7 @@ from slamcli.run.stitch.survey_records import records
 from slamcli.selfcal import RegisteredDrive
 from slamcli.survey import Survey, survey
 from slamcli.survey.lens import Lens, LensPrior
+from slamcli.survey.mounted import calibrated_lens
 from slamcli.survey.oblique import floor_motion
 from slamcli.survey.oblique_camera import NOTED_FOCAL_SIGMA
 from slamcli.survey.pairs import Pair, find_pair, fit_similarity
@@ -128,7 +129,33 @@ def locate_survey(
     ]
     features = [on_canvas(one, canvas) for one in described]
     found = survey(features, _lens(files, canvas), partial(session.stage, "comparing frames"))
-    calibration = _camera(canvas, found)
+    return _surveyed(found, files, described, drive, _camera(canvas, found))
+
+
+def locate_calibrated(
+    described: Sequence[Described], drive: Drive, session: Session
+) -> SurveyedDrive:
+    """Return a drive with a calibration located with six degrees of freedom about it."""
+    inputs = drive.inputs
+    features = [on_canvas(one, inputs.calibration.image_size) for one in described]
+    read = zip(inputs.files, described, strict=False)
+    files = [
+        *(replace(file, digest=one.digest) for file, one in read),
+        *inputs.files[len(described) :],
+    ]
+    lens = calibrated_lens(inputs.calibration)
+    found = survey(features, lens, partial(session.stage, "comparing frames"))
+    return _surveyed(found, files, described, drive, inputs.calibration)
+
+
+def _surveyed(
+    found: Survey,
+    files: list[FrameFile],
+    described: Sequence[Described],
+    drive: Drive,
+    calibration: Calibration,
+) -> SurveyedDrive:
+    """Return the records of a survey."""
     estimates, links = records(found, files, described, calibration)
     placed = [one for one in estimates if one.map_from_robot is not None]
     floor_map = None
@@ -137,14 +164,14 @@ def locate_survey(
         floor_map = FloorMap(
             calibration,
             options.features,
-            1.0,
+            1.0 if calibration.is_top_down else drive.mapper.metres_per_pixel,
             options.tilt_sigma_degrees,
             (),
             tuple(estimates),
             tuple(links),
         )
     registered = RegisteredDrive(calibration, estimates, links, frozenset(), floor_map)
-    return SurveyedDrive(registered, files, SurveyFacts(_rows(found), _section(found)))
+    return SurveyedDrive(registered, files, SurveyFacts(_rows(found, calibration), _section(found)))
 
 
 def _lens(files: Sequence[FrameFile], canvas: tuple[int, int]) -> Lens:
@@ -167,15 +194,18 @@ def _camera(canvas: tuple[int, int], found: Survey) -> Calibration:
     return replace(camera, camera_matrix=matrix, distortion=np.array([k1, 0.0, 0.0, 0.0, 0.0]))
 
 
-def _rows(found: Survey) -> tuple[tuple[str, str], ...]:
+def _rows(found: Survey, calibration: Calibration) -> tuple[tuple[str, str], ...]:
     if not found.maps:
         return ()
     mount, lens = found.maps[0].bundle.mount, found.maps[0].bundle.lens
+    down = calibration.is_top_down
     text = (
-        f"looks down with six degrees of freedom: tilt ±{math.degrees(mount.tilt_sigma):.2g}°, "
-        f"height ±{mount.scale_sigma:.1%} from frame to frame, "
-        f"lens bends the corners by {lens.bend:.1%}"
+        f"{'looks down' if down else 'moves'} with six degrees of freedom: "
+        f"tilt ±{math.degrees(mount.tilt_sigma):.2g}°, "
+        f"height ±{mount.scale_sigma:.1%} from frame to frame"
     )
+    if down:
+        text += f", lens bends the corners by {lens.bend:.1%}"
     rows = [("camera", text)]
     if found.contradicted:
         rows.append(("links off", f"{len(found.contradicted)}, contradicted by the others"))
