@@ -163,6 +163,25 @@ def test_exposure_is_compared_wherever_the_map_begins() -> None:
         assert gains[0] / gains[1] == pytest.approx(1.2, rel=0.01)
 
 
+def test_gains_are_lowered_where_bright_floor_would_clip() -> None:
+    shared = np.array([(x, 0) for x in range(50)], np.int32)
+    bright = np.array([(x, 1) for x in range(50)], np.int32)
+
+    def frame(points: np.ndarray, grays: list[float]) -> exposure.FloorBrightness:
+        plain = np.ones(len(points), np.float32)
+        return exposure.FloorBrightness(points, np.log(grays), 0.0 * plain, plain)
+
+    # The first is darker than the others, and it alone sees floor of 220 gray levels.
+    dark = frame(np.concatenate([shared, bright]), [120.0] * 50 + [220.0] * 50)
+    light = exposure.estimate_exposure(
+        [dark, frame(shared, [160.0] * 50)] + [frame(shared, [160.0] * 50) for _ in range(2)]
+    )
+    assert light.gains[0] / light.gains[1] == pytest.approx(160.0 / 120.0, rel=0.01)
+    assert 220.0 * light.gains[0] < 246.0
+    alike = exposure.estimate_exposure([frame(shared, [120.0] * 50), frame(shared, [130.0] * 50)])
+    assert np.median(alike.gains) == pytest.approx(1.0, abs=0.05)
+
+
 def test_vignetting_is_found_and_compensated() -> None:
     calibration = forward_camera()
     falls = compensation.brightening_image(calibration.image_size, (-0.25, 0.0))

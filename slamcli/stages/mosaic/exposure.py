@@ -34,6 +34,8 @@ _MAX_SAMPLES_A_POINT = 16
 # lens is even.
 _GAIN_SIGMA, _VIGNETTING_SIGMA = 1.0, 0.5
 _DARKEST_GRAY, _BRIGHTEST_GRAY = 8.0, 245.0
+# At most this share of the floor may become brighter than that by the gains: all are lowered alike.
+_MAX_BRIGHTEST_SHARE = 0.005
 _BLUR_SHARE = 1 / 80
 # A smaller change of the log brightness is invisible, and not worth the time to apply it.
 _MIN_CHANGE = 0.004
@@ -184,7 +186,7 @@ def estimate_exposure(observations: Sequence[FloorBrightness]) -> Exposure:
     Robust least squares on logarithms: log I = floor(point) - gain(frame) - a r^2 - b r^4, by
     iteratively reweighted normal equations, the floor eliminated (after
     Goldman, IEEE TPAMI 32(12), 2010, who solves for vignetting and exposure on panoramas; the
-    response is taken as linear). The median gain is 1.
+    response is taken as linear). The median gain is 1, or less where bright floor would clip.
     """
     frames = len(observations)
     if sum(len(one.logarithm) for one in observations) == 0:
@@ -231,11 +233,23 @@ def _significant(problem: _Problem, solution: Float64Array, weight: Float64Array
     sigmas = _SIGNIFICANT_SIGMAS * spread / np.sqrt(information)
     logarithms = solution[:frames] - np.median(solution[:frames])
     unsure = np.abs(logarithms) < np.maximum(sigmas[:frames], _MIN_CHANGE)
-    gains = np.where(unsure, 1.0, np.exp(logarithms))
+    logarithms[unsure] = 0.0
     a, b = float(solution[frames]), float(solution[frames + 1])
     fall = max(abs(a * r + b * r * r) for r in (0.25, 0.5, 0.75, 1.0))
     even = fall < max(float(sigmas[frames]), _MIN_CHANGE)
-    return Exposure(gains, (0.0, 0.0) if even else (a, b))
+    vignetting = np.zeros(2) if even else np.array([a, b])
+    anchor = _anchor(problem, np.concatenate([logarithms, vignetting]))
+    return Exposure(np.exp(logarithms + anchor), (float(vignetting[0]), float(vignetting[1])))
+
+
+def _anchor(problem: _Problem, solution: Float64Array) -> float:
+    """Return by how much all log gains are lowered so that hardly any floor clips; 0 for not."""
+    if not np.any(solution):
+        return 0.0
+    corrected = problem.logarithm + problem.design @ solution
+    brightest = float(np.quantile(corrected, 1.0 - _MAX_BRIGHTEST_SHARE))
+    lowered = math.log(_BRIGHTEST_GRAY) - brightest
+    return lowered if lowered < -_MIN_CHANGE else 0.0
 
 
 def _solve_weighted(problem: _Problem, weight: Float64Array) -> Float64Array:
