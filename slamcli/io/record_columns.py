@@ -14,6 +14,7 @@ from itertools import pairwise
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slamcli.core import arrays as array_types
 from slamcli.core.arrays import AnyArray
@@ -142,9 +143,13 @@ def _array_kinds(kind: Any) -> tuple[str, ...]:
     if get_origin(kind) in {Union, types.UnionType}:
         found = [_array_kinds(part) for part in get_args(kind)]
         return tuple(one for part in found for one in part) if all(found) else ()
-    if get_origin(kind) is not np.ndarray:
+    origin: Any = get_origin(kind)
+    if origin is NDArray:  # a type alias of its own from numpy 2.5 on
+        (scalar,) = get_args(kind)
+    elif origin is np.ndarray:
+        scalar = get_args(get_args(kind)[1])[0]
+    else:
         return ()
-    scalar = get_args(get_args(kind)[1])[0]
     return (np.dtype(scalar).newbyteorder("<").str,)
 
 
