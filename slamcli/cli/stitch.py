@@ -59,6 +59,20 @@ _camera = section(
     expert(
         CAMERA,
         _stitch(
+            "unordered",
+            "--unordered",
+            text="The frames come in no order. Those that overlap are found by appearance alone; "
+            "by itself where tracking from frame to frame leaves most apart.",
+            is_flag=True,
+        ),
+        _stitch(
+            "intrinsics_path",
+            "--intrinsics",
+            PATH,
+            "The lens, without a calibration: a ROS camera_info YAML. Of a camera that moves "
+            "freely, or whose mounting the frames are to show.",
+        ),
+        _stitch(
             "scale",
             "--scale",
             Bar(),

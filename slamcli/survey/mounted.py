@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.camera.calibration import Calibration, Rocking
+from slamcli.core.camera.calibration import Calibration, Intrinsics, Rocking
 from slamcli.core.camera.mounting import compose_robot_from_image, robot_from_camera_rotation, tilt
 from slamcli.core.geometry import Pose2
 from slamcli.survey.ideal_picture import (
@@ -67,11 +67,15 @@ class MountedFrame:
         )
 
 
+def known_lens(lens: Calibration | Intrinsics) -> Lens:
+    """Return the lens of a known camera's ideal pictures, looking down."""
+    focal, radius = focal_pixels(lens), 0.5 * math.hypot(*lens.image_size)
+    return Lens(focal, 0.0, radius, LensPrior(math.log(focal), 0.0, 0.0))
+
+
 def calibrated_lens(calibration: Calibration) -> Lens:
-    """Return the lens of a calibrated camera's ideal pictures."""
-    focal, radius = focal_pixels(calibration), 0.5 * math.hypot(*calibration.image_size)
-    known = LensPrior(math.log(focal), 0.0, 0.0)
-    return Lens(focal, 0.0, radius, known, camera_from_nadir(calibration))
+    """Return the lens of a calibrated camera's ideal pictures, looking where it does."""
+    return replace(known_lens(calibration), camera_from_nadir=camera_from_nadir(calibration))
 
 
 def mounted(state: Float64Array, calibration: Calibration) -> MountedFrame:

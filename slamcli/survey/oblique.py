@@ -123,7 +123,10 @@ class _FocalPrior:
 
 
 def estimate_camera(
-    motions: Sequence[FloorMotion], size: tuple[int, int], focal_pixels: float | None = None
+    motions: Sequence[FloorMotion],
+    size: tuple[int, int],
+    focal_pixels: float | None = None,
+    focal_sigma: float = NOTED_FOCAL_SIGMA,
 ) -> ObliqueCamera:
     """Return the camera under which all motions are rigid on the floor.
 
@@ -134,6 +137,8 @@ def estimate_camera(
         Of the pictures.
     focal_pixels : float or None
         As photos note it, about right.
+    focal_sigma : float
+        Of its logarithm.
     """
     if len(motions) < _MIN_MOTIONS:
         return _none("too few pairs of frames show the same floor")
@@ -141,7 +146,7 @@ def estimate_camera(
     prior = _FocalPrior(0.0, FOCAL_PRIOR_SIGMA)
     focals: tuple[float, ...] = _FOCALS
     if focal_pixels is not None:
-        prior = _FocalPrior(math.log(focal_pixels / width), NOTED_FOCAL_SIGMA)
+        prior = _FocalPrior(math.log(focal_pixels / width), focal_sigma)
         focals = (focal_pixels / width,)
     starts = [
         np.array([math.log(focal), math.radians(pitch), 0.0, 0.0])

@@ -18,6 +18,8 @@ FOCAL_PRIOR_SIGMA, ROLL_PRIOR_SIGMA, BEND_PRIOR_SIGMA = 0.7, math.radians(10.0),
 # Sigma of the logarithm of a focal length that photos note: of whole millimetres of a film, and of
 # the crop of a video's frames.
 NOTED_FOCAL_SIGMA = 0.05
+# Of one that is known.
+KNOWN_FOCAL_SIGMA = 1e-3
 # Of an observable camera: sigmas of log focal length and of the pitch.
 # [Guarded by benchmarks/real_sets.py.]
 _MAX_FOCAL_SIGMA, _MAX_PITCH_SIGMA, _MAX_PITCH = 0.1, math.radians(2.0), math.radians(70.0)

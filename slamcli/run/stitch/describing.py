@@ -34,7 +34,7 @@ def describe_file(file: FrameFile, ideal: IdealPicture | None = None) -> Describ
     image, mask = frame.image, frame.mask
     if ideal is not None:
         if image.shape != ideal.usable.shape:
-            return Described(None, "of another size than the calibration", frame.digest)
+            return Described(None, "of another size than the lens is known for", frame.digest)
         image, mask = ideal.of(image, mask)
     return Described(survey_features(image, mask), digest=frame.digest)
 

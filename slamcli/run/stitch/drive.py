@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.calibration import Calibration, Intrinsics
 from slamcli.core.config import MapperOptions
-from slamcli.core.errors import InputError
+from slamcli.core.errors import CalibrationError, InputError
 from slamcli.core.records import PoseEstimate
 from slamcli.core.telemetry import Georeference
+from slamcli.io.calibrations import load_intrinsics
 from slamcli.io.map_file import map_path
 from slamcli.io.toml import Scalar
 from slamcli.mapping.mapper import Mapper
@@ -43,6 +44,8 @@ class Drive:
         With `--extend`, features and scale are those of the finished map.
     mapper : Mapper
         New: no frame has passed through it yet. With `--extend` it has the finished map's frames.
+    intrinsics : Intrinsics or None
+        The lens of a camera without a calibration, where it is known.
     """
 
     sources: tuple[Path, ...]
@@ -51,13 +54,16 @@ class Drive:
     telemetry: Telemetry
     options: StitchOptions
     mapper: Mapper
+    intrinsics: Intrinsics | None = None
 
     @property
     def paths(self) -> list[Path]:
         """All files that are read."""
         files, networks = self.telemetry_files, self.options.networks
-        others = (files.odometry, files.compass, files.gps, self.options.control, *networks.paths)
-        extended = self.options.extend
+        options = self.options
+        given = (options.control, options.intrinsics_path)
+        others = (files.odometry, files.compass, files.gps, *given, *networks.paths)
+        extended = options.extend
         found = [*others, None if extended is None else map_path(extended)]
         return [*self.inputs.paths, *(path for path in found if path is not None)]
 
@@ -178,6 +184,7 @@ def open_drive(
             mapper=extension.options(options.mapper),
             selection=extension.floor_map.selection,
         )
+    intrinsics = _intrinsics(options, inputs, telemetry_files)
     alone = inputs.calibration_path is None and extension is None and not telemetry_files.any
     if alone and options.mount == "auto":
         inputs = replace(inputs, files=without_static_light(inputs.files, session))
@@ -198,7 +205,34 @@ def open_drive(
         mapper.extend(extension.floor_map)
     if not telemetry.find_time_offset:
         feed(mapper, telemetry)
-    return Drive(tuple(sources), inputs, telemetry_files, telemetry, options, mapper)
+    return Drive(tuple(sources), inputs, telemetry_files, telemetry, options, mapper, intrinsics)
+
+
+def _intrinsics(
+    options: StitchOptions, inputs: Inputs, telemetry_files: TelemetryFiles
+) -> Intrinsics | None:
+    """Return the lens; refuse it, and frames in no order, where neither can be used."""
+    sensors = telemetry_files.any or options.extend is not None
+    if options.unordered and sensors:
+        raise InputError(
+            "--unordered works by the frames alone; leave out --odometry, --compass, --gps and "
+            "--extend"
+        )
+    if options.intrinsics_path is None:
+        return None
+    if inputs.calibration_path is not None or sensors:
+        raise InputError(
+            "--intrinsics is the lens of frames alone, without a calibration, other sensors or a "
+            "map to extend; slam calibrate --intrinsics makes a calibration of it"
+        )
+    intrinsics = load_intrinsics(options.intrinsics_path)
+    if intrinsics.image_size != inputs.calibration.image_size:
+        wanted, size = intrinsics.image_size, inputs.calibration.image_size
+        raise CalibrationError(
+            f"{options.intrinsics_path} is for {wanted[0]}x{wanted[1]} images, but the frames have "
+            f"{size[0]}x{size[1]}"
+        )
+    return intrinsics
 
 
 def _check_extension(

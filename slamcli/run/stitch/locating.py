@@ -41,6 +41,8 @@ def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> Loc
     top-down mount, or when that leaves frames or maps apart and a survey connects more.
     """
     may_be_survey = survey.may_be_survey(drive)
+    if may_be_survey and (drive.intrinsics is not None or drive.options.unordered):
+        return _locate_uncalibrated(drive, survey.NO_PROBE, checkpoint, session)
     if may_be_survey and not drive.mapper.frame_count:
         found = survey.probe(drive.inputs.files, session)
         flown = on_earth.geotagged(drive.inputs.files)
@@ -66,7 +68,7 @@ def _locate_calibrated(drive: Drive, checkpoint: Checkpoint, session: Session) -
     It is looked for the second after some frames, where many of them are lost, and at the end.
     """
     files, start = drive.inputs.files, None
-    looked = drive.options.mount == "free"
+    looked = drive.options.mount == "free" or drive.options.unordered
     if not drive.mapper.frame_count and not looked and len(files) > _FRAMES_TO_LOOK_AGAIN:
         start = _track_frames(drive, checkpoint, session, first=_FRAMES_TO_LOOK_AGAIN)
         lost = start.reached - _size(start)[0]
@@ -76,8 +78,10 @@ def _locate_calibrated(drive: Drive, checkpoint: Checkpoint, session: Session) -
         if 2 * _size(surveyed)[0] > len(files):
             return surveyed
     located = _track_frames(drive, checkpoint, session, before=start)
-    whole = _size(located)[0] == len(files)
-    if looked or whole or session.interruption.happened or not rocking.rocks(located, session):
+    placed = _size(located)[0]
+    if looked or placed == len(files) or session.interruption.happened:
+        return located
+    if 2 * placed > len(files) and not rocking.rocks(located, session):
         return located
     surveyed = _survey_calibrated(drive, session)
     return surveyed if _size(surveyed) > _size(located) else located
@@ -114,11 +118,12 @@ def _locate_uncalibrated(
     InputError
         When it looks ahead and the frames do not determine it.
     """
-    described, vanished = describing.describe_frames(drive.inputs.files, session)
+    ideal = None if drive.intrinsics is None else ideal_picture(drive.intrinsics)
+    described, vanished = describing.describe_frames(drive.inputs.files, session, ideal)
     features = [one.features for one in described]
     camera = None
     if drive.options.mount == "auto" and not session.interruption.happened:
-        camera = oblique.find_camera(features, drive.inputs.files, session, apart=found.apart)
+        camera = oblique.find_camera(features, drive, session, apart=found.apart)
     if camera is None:
         return _survey_frames(drive, described, vanished, session)
     size = next(one.size for one in features if one is not None)

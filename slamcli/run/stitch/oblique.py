@@ -11,6 +11,8 @@ from typing import TypeVar
 import numpy as np
 
 from slamcli.core.arrays import UInt8Array
+from slamcli.core.camera.calibration import Calibration, Intrinsics
+from slamcli.core.camera.mounting import compose_robot_from_image
 from slamcli.core.errors import FrameError, InputError
 from slamcli.io.frames import FrameFile, of_camera, read_frame
 from slamcli.mapping.mapper import Mapper
@@ -18,9 +20,10 @@ from slamcli.run.session.session import Session
 from slamcli.run.stitch.drive import Drive
 from slamcli.run.stitch.focal_length import noted_focal_pixels
 from slamcli.survey import SurveyFeatures
+from slamcli.survey.ideal_picture import focal_pixels
 from slamcli.survey.oblique import FloorMotion, estimate_camera, floor_motion
 from slamcli.survey.oblique_by_pixels import MAX_PICTURES, camera_by_pixels
-from slamcli.survey.oblique_camera import ObliqueCamera
+from slamcli.survey.oblique_camera import KNOWN_FOCAL_SIGMA, ObliqueCamera
 
 # Frames' floors are compared with those of the next ones, so many pairs; at most so many motions of
 # the floor are needed.
@@ -34,7 +37,7 @@ Item = TypeVar("Item")
 
 def find_camera(
     features: Sequence[SurveyFeatures | None],
-    files: Sequence[FrameFile],
+    drive: Drive,
     session: Session,
     *,
     apart: bool,
@@ -47,8 +50,8 @@ def find_camera(
     ----------
     features : sequence of SurveyFeatures or None
         Of the frames, in order; None for one that cannot be used.
-    files : sequence of FrameFile
-        What they note of the focal length is used.
+    drive : Drive
+        What is known of its lens, or its files note of the focal length, is used.
     apart : bool
         Whether the frames also show what stands behind the floor: then only motions of lower rows
         than another are the floor's.
@@ -65,7 +68,11 @@ def find_camera(
     motions = [one for one in found if one is not None and (one.apart or not apart)]
     motions = _spread(motions, _MAX_MOTIONS)
     size = known[0][0].size
-    camera = estimate_camera(motions, size, noted_focal_pixels(files, size))
+    if drive.intrinsics is None:
+        camera = estimate_camera(motions, size, noted_focal_pixels(drive.inputs.files, size))
+    else:
+        focal = focal_pixels(drive.intrinsics)
+        camera = estimate_camera(motions, size, focal, KNOWN_FOCAL_SIGMA)
     if apart or not motions:
         return camera if motions else None
     free = float(np.median([one.residual_pixels for one in motions]))
@@ -117,6 +124,18 @@ def _motion(pair: tuple[SurveyFeatures, SurveyFeatures]) -> FloorMotion | None:
     return floor_motion(*pair)
 
 
+def _with_lens(calibration: Calibration, lens: Intrinsics) -> Calibration:
+    """Return a calibration with a known lens in place of the one found."""
+    mounting = calibration.height_metres, calibration.pitch_radians, calibration.roll_radians
+    return replace(
+        calibration,
+        camera_matrix=lens.camera_matrix,
+        distortion=lens.distortion,
+        distortion_model=lens.distortion_model,
+        robot_from_image=compose_robot_from_image(lens.camera_matrix, *mounting),
+    )
+
+
 def with_camera(drive: Drive, camera: ObliqueCamera, size: tuple[int, int]) -> Drive:
     """Return the drive with a camera found by its frames, which self-calibration refines.
 
@@ -133,6 +152,8 @@ def with_camera(drive: Drive, camera: ObliqueCamera, size: tuple[int, int]) -> D
         )
     options = replace(drive.options, self_calibrate="always")
     calibration = camera.calibration(size, options.height_metres)
+    if drive.intrinsics is not None:
+        calibration = _with_lens(calibration, drive.intrinsics)
     mapper = Mapper(calibration, drive.mapper.options, options.telemetry)
     note = (
         f"no calibration: a camera that looks ahead, by the frames: focal length "

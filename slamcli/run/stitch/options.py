@@ -44,6 +44,10 @@ class StitchOptions:
     mount : str
         How the camera is carried: ``rigid`` leaves it three degrees of freedom, ``free`` six;
         ``auto`` finds out.
+    unordered : bool
+        The frames come in no order: pairs are found by appearance alone.
+    intrinsics_path : Path or None
+        The lens of a camera without a calibration.
     height_metres : float or None
         Of a camera without a calibration; None leaves the unit of length to the frames.
     scale : ScaleBar or None
@@ -72,6 +76,8 @@ class StitchOptions:
     frame_rate: float | None = None
     selection: FrameSelection = field(default_factory=FrameSelection)
     mount: Mount = "auto"
+    unordered: bool = False
+    intrinsics_path: Path | None = None
     height_metres: float | None = None
     scale: ScaleBar | None = None
     control: Path | None = None

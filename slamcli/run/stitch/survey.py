@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from slamcli.core.camera.calibration import Calibration, top_down_calibration
+from slamcli.core.camera.calibration import Calibration, Intrinsics, top_down_calibration
 from slamcli.core.geometry import apply_homography
 from slamcli.core.records import FloorMap
 from slamcli.io.frames import FrameFile
@@ -23,7 +23,7 @@ from slamcli.run.stitch.survey_records import records
 from slamcli.selfcal import RegisteredDrive
 from slamcli.survey import Survey, survey
 from slamcli.survey.lens import Lens, LensPrior
-from slamcli.survey.mounted import calibrated_lens
+from slamcli.survey.mounted import calibrated_lens, known_lens
 from slamcli.survey.oblique import floor_motion
 from slamcli.survey.oblique_camera import NOTED_FOCAL_SIGMA
 from slamcli.survey.pairs import Pair, find_pair, fit_similarity
@@ -81,6 +81,9 @@ class Probe:
     apart: bool
 
 
+NO_PROBE = Probe(free=True, apart=False)
+
+
 def probe(files: Sequence[FrameFile], session: Session) -> Probe:
     """Compare some consecutive frames."""
     starts = np.unique(np.linspace(0, len(files) - 2, _PROBES).round().astype(int)).tolist()
@@ -128,8 +131,11 @@ def locate_survey(
         *files[len(described) :],
     ]
     features = [on_canvas(one, canvas) for one in described]
-    found = survey(features, _lens(files, canvas), partial(session.stage, "comparing frames"))
-    return _surveyed(found, files, described, drive, _camera(canvas, found))
+    known = drive.intrinsics
+    lens = _lens(files, canvas) if known is None else known_lens(known)
+    found = survey(features, lens, partial(session.stage, "comparing frames"))
+    camera = _camera(canvas, found) if known is None else _with_lens(known)
+    return _surveyed(found, files, described, drive, camera)
 
 
 def locate_calibrated(
@@ -180,6 +186,16 @@ def _lens(files: Sequence[FrameFile], canvas: tuple[int, int]) -> Lens:
     if focal is None:
         focal, sigma = _FOCAL_WIDTHS * max(canvas), _FOCAL_SIGMA
     return Lens(focal, 0.0, 0.5 * math.hypot(*canvas), LensPrior(math.log(focal), sigma))
+
+
+def _with_lens(intrinsics: Intrinsics) -> Calibration:
+    """Return the nominal camera of frames from above with a known lens."""
+    return replace(
+        top_down_calibration(intrinsics.image_size),
+        camera_matrix=intrinsics.camera_matrix,
+        distortion=intrinsics.distortion,
+        distortion_model=intrinsics.distortion_model,
+    )
 
 
 def _camera(canvas: tuple[int, int], found: Survey) -> Calibration:
