@@ -339,12 +339,12 @@ class _Reader:
 
 def _exif_code(frame: Any) -> int:
     """Return the EXIF code of the turn in a frame's display matrix; 1 for one of no quarter."""
-    for item in frame.side_data:
-        if item.type.name == "DISPLAYMATRIX":
-            matrix = np.frombuffer(bytes(item), np.int32)
-            signs = tuple(np.sign(matrix[[0, 1, 3, 4]]).tolist())
-            return _TURNS.get(signs, 1)
-    return 1
+    item = frame.side_data.get("DISPLAYMATRIX")
+    if item is None:
+        return 1
+    matrix = np.frombuffer(bytes(item), np.int32)
+    signs = tuple(np.sign(matrix[[0, 1, 3, 4]]).tolist())
+    return _TURNS.get(signs, 1)
 
 
 def _unread(path: Path, reason: str) -> InputError:

@@ -206,7 +206,7 @@ def _inputs_section(located: LocatedDrive) -> dict[str, toml.Scalar]:
         "version": __version__,
         "calibration": str(inputs.calibration_path) if inputs.calibration_path else None,
         "unit": located.calibration.unit,
-        "first_frame": str(inputs.files[0].path),
+        "first_frame": str(inputs.files[0].path.absolute()),
         "sources": runs.source_text(located.drive.sources),
         "registration_metres_per_pixel": located.mapper.metres_per_pixel,
         "odometry": str(files.odometry) if files.odometry else None,
