@@ -78,7 +78,17 @@ class SlamGroup(click.Group):
             with Interruption(acknowledge).at_once():
                 return super().invoke(ctx)
         except SlamcliError as error:
-            messages().show(f"Error: {error}", error=True)
+            # A name with a line feed in it leaves it one line.
+            text = str(error).replace("\n", "\\n")
+            messages().show(f"Error: {text}", error=True)
+            sys.exit(ExitCode.ERROR)
+        except OSError as error:
+            # Names that are too long, links in circles, mounts that are gone.
+            import logging
+
+            logging.getLogger("slamcli").debug("the system refused", exc_info=True)
+            name = "" if error.filename is None else f"{error.filename}: "
+            messages().show(f"Error: {name}{error.strerror or error}", error=True)
             sys.exit(ExitCode.ERROR)
         except MemoryError as error:
             messages().show(f"Error: out of memory: {error}; give less at a time", error=True)

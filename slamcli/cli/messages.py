@@ -17,7 +17,7 @@ import click
 from slamcli.cli.options.sections import OUTPUT, expert, section
 from slamcli.cli.options.values import PATH
 from slamcli.core.errors import OutputError
-from slamcli.core.names import readable
+from slamcli.core.names import printable, readable
 
 _KEY = __name__
 
@@ -42,6 +42,7 @@ class Messages:
 
     def show(self, line: str, *, error: bool = False) -> None:
         """Print a line that is no result."""
+        line = printable(line)
         self.record(line)
         if error or not self.quiet:
             click.echo(click.style(line, fg="red") if error else line, err=True, color=_colour())
@@ -65,6 +66,7 @@ def messages() -> Messages:
 
 def result(text: str) -> None:
     """Print a result on the standard output; the log has it too."""
+    text = printable(text)
     messages().record(text)
     click.echo(text)
 

@@ -17,9 +17,10 @@ import numpy as np
 
 from slamcli.core.arrays import AnyArray
 from slamcli.core.errors import InputError
-from slamcli.io.files import write_chunks
+from slamcli.io.files import fault_of_file, write_chunks
 
 _DIGEST_BYTES, _LENGTH_BYTES = 32, 8
+_MAX_BYTES = 16 * 2**30
 _TYPES = frozenset({"|b1", "|u1", "<i8", "<f8"})
 
 
@@ -55,9 +56,10 @@ def read_arrays(path: Path, magic: bytes) -> tuple[dict[str, Any], dict[str, Any
     InputError
         Names the file, and what is wrong with it.
     """
-    if not path.is_file():
-        raise InputError(f"cannot read {path}: it is no file")
     try:
+        fault = fault_of_file(path, _MAX_BYTES)
+        if fault:
+            raise InputError(f"cannot read {path}: {fault}")
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import errno
 import os
+import stat
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -137,13 +138,26 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
+def fault_of_file(path: Path, max_bytes: int) -> str:
+    """Return why a file is not to be opened; empty for a regular file of a bounded size.
+
+    A pipe or a device may have no end.
+
+    Raises
+    ------
+    OSError
+        When there is no such file.
+    """
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        return "it is not a regular file"
+    return f"it has more than {max_bytes >> 20} MB" if status.st_size > max_bytes else ""
+
+
 def read_text(path: Path, what: str) -> str:
     """Return a text file's content; raises InputError that names it and says what it is."""
     try:
-        # A pipe or a device may have no end.
-        reason = "" if path.is_file() or not path.exists() else "it is not a regular file"
-        if not reason and path.stat().st_size > _MAX_TEXT_BYTES:
-            reason = f"it has more than {_MAX_TEXT_BYTES >> 20} MB"
+        reason = fault_of_file(path, _MAX_TEXT_BYTES)
         if not reason:
             data = path.read_bytes()
             wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))

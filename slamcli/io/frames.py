@@ -79,7 +79,11 @@ class FrameFile:
 
     def size(self) -> tuple[int, int]:
         """Return the width and height that it declares, pixels, turned; raises FrameError."""
-        return read_size(self.path) if self.part is None else self.part.size
+        if self.part is None:
+            return read_size(self.path)
+        if not all(self.part.size):
+            raise FrameError("damaged: its header cannot be read")
+        return self.part.size
 
     def content(self) -> bytes | UInt8Array:
         """Return what is decoded: an encoded picture or pixels; raises FrameError."""

@@ -72,7 +72,9 @@ def open_inputs(
     files = list_frames(sources, frame_rate, selection, progress)
     path, note = calibration_path, ""
     if path is None:
-        path = next((path for path in _calibration_paths(sources, files) if path.is_file()), None)
+        # A broken link too: without its calibration, frames would be in pixels.
+        beside = _calibration_paths(sources, files)
+        path = next((one for one in beside if one.is_symlink() or one.exists()), None)
         note = "" if path is None else f"calibration found: {path}"
     taken = taken_notes(files)
     unread = unread_note(files)

@@ -15,11 +15,15 @@ from threading import RLock
 from typing import Any
 
 from slamcli.core.errors import InputError, SlamcliError
+from slamcli.io.files import fault_of_file
 
 BAG_SUFFIXES = frozenset({".bag", ".db3", ".mcap"})
 # What topics of pictures are called in messages.
 IMAGES = "images"
 _METADATA = "metadata.yaml"
+_MAX_METADATA_BYTES, _MAX_BAG_BYTES = 64 * 2**20, 2**63
+# What the files of bags begin with: rosbags would look for the end of a line in any other.
+_STARTS = {".bag": b"#ROSBAG V", ".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP0\r\n"}
 _MAX_SHOWN = 6
 
 
@@ -30,6 +34,24 @@ def is_bag(path: Path) -> bool:
             not BAG_SUFFIXES.isdisjoint(one.suffixes) for one in path.iterdir()
         )
     return path.suffix.lower() in BAG_SUFFIXES
+
+
+def _check_files(path: Path) -> None:
+    """Raise InputError when a file of a bag is a pipe or a device, or begins as none does."""
+    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        start = _STARTS.get(file.suffix.lower(), b"")
+        if not start and file.name != _METADATA:
+            continue
+        try:
+            fault = fault_of_file(file, _MAX_BAG_BYTES if start else _MAX_METADATA_BYTES)
+            if not fault:
+                with file.open("rb") as stream:
+                    if stream.read(len(start)) != start:
+                        fault = f"it does not begin as a {file.suffix} file"
+        except OSError as error:
+            fault = error.strerror or str(error)
+        if fault:
+            raise InputError(f"cannot read the bag {file}: {fault}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,8 +179,7 @@ class Bag:
             raise InputError(
                 f"the bag {self.path} needs rosbags: pip install 'slamcli[rosbag]'"
             ) from error
-        if not (self.path.is_dir() or self.path.is_file()):
-            raise InputError(f"cannot read the bag {self.path}: it is not a regular file")
+        _check_files(self.path)
         reader = AnyReader([self.path], default_typestore=get_typestore(Stores.LATEST))
         reader.open()
         weakref.finalize(self, reader.close)

@@ -31,7 +31,7 @@ from slamcli.core.errors import InputError, MapError
 from slamcli.core.records import DescriptorNorm, FloorMap
 from slamcli.io import calibration_codec
 from slamcli.io.checks import FieldError, check_number, check_word
-from slamcli.io.files import write_bytes
+from slamcli.io.files import fault_of_file, write_bytes
 from slamcli.io.map_file.header import (
     datums_header,
     features_header,
@@ -137,9 +137,13 @@ def _as_sentence(error: Exception) -> str:
 def _read_body(file: Path) -> bytes:
     """Return what the checksum covers, once it is right."""
     try:
-        if file.stat().st_size > _MAX_BYTES:
-            raise MapError(f"{file} is larger than any map ({_MAX_BYTES >> 30} GB)")
-        data = file.read_bytes()
+        fault = fault_of_file(file, _MAX_BYTES)
+        if fault:
+            raise MapError(f"cannot read the map {file}: {fault}")
+        with file.open("rb") as stream:
+            # Of something else, however large, no more is read.
+            data = stream.read(len(_MAGIC))
+            data += stream.read() if data == _MAGIC else b""
     except OSError as error:
         raise MapError(
             f"cannot read the map {file}: {error.strerror}; slam stitch writes one"
