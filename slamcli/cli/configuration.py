@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from slamcli.cli.options.sections import ESSENTIAL, section
-from slamcli.cli.options.values import PATH, Numbers, Words
+from slamcli.cli.options.values import PATH, Number, Numbers, Whole, Words
 from slamcli.core.bounds import quoted
 from slamcli.core.config import (
     FeatureOptions,
@@ -196,5 +196,7 @@ def _text(path: Path, value: Any, parameter: click.Parameter) -> Any:
         name = _key(max(parameter.opts, key=len))
         raise InputError(f"{path}: {quoted(value)} is no value of {name}")
     if isinstance(value, bool) and getattr(parameter, "is_flag", False):
+        return value
+    if isinstance(parameter.type, Number | Whole) and not isinstance(value, bool):
         return value
     return [str(value)] if several else str(value)
