@@ -132,6 +132,8 @@ class Pages:
                 bits = self._bits if samples.dtype.itemsize > 1 else 8
             except Exception as error:
                 raise _unread(error) from error
+        if samples.shape[:2] != (header.height, header.width):
+            raise FrameError("damaged: a page has other pixels than its header declares")
         return turn(_pixels(samples, bits), header.orientation)
 
     def _header(self, number: int) -> Header:

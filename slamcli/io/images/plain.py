@@ -124,12 +124,14 @@ def count_frames(stream: BinaryIO) -> int:
     if len(head) < 13:
         return 0
     stream.seek(_palette_bytes(head[10]), 1)
+    screen = struct.unpack_from("<2H", head, 6)
     count = 0
     while count < _MAX_GIF_FRAMES:
         kind = stream.read(1)
         if kind == b",":
             descriptor = stream.read(9)
-            if len(descriptor) < 9:
+            # One that lies outside of the screen would make it, and all after it, larger.
+            if len(descriptor) < 9 or not _lies_within(screen, descriptor):
                 break
             stream.seek(_palette_bytes(descriptor[8]) + 1, 1)
             count += 1
@@ -142,6 +144,11 @@ def count_frames(stream: BinaryIO) -> int:
                 break
             stream.seek(length[0], 1)
     return count
+
+
+def _lies_within(screen: tuple[int, ...], descriptor: bytes) -> bool:
+    left, top, width, height = struct.unpack_from("<4H", descriptor)
+    return bool(left + width <= screen[0] and top + height <= screen[1])
 
 
 def _palette_bytes(flags: int) -> int:
