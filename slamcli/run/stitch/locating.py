@@ -29,9 +29,9 @@ from slamcli.survey.ideal_picture import ideal_picture
 
 # With so many frames compared, the fault of an odometry that contradicts them is clear.
 _FRAMES_TO_NAME_A_FAULT = 16
-# Where of the first so many frames more than this share is lost, the camera may be carried by hand
-# [benchmarks/free_cameras.py].
-_FRAMES_TO_LOOK_AGAIN, _LOST_SHARE = 12, 0.3
+# Where of the first so many frames more than this share is not in one map, the camera may be
+# carried by hand [benchmarks/free_cameras.py].
+_FRAMES_TO_LOOK_AGAIN, _LOST_SHARE = (8, 16, 32, 64), 0.25
 
 
 def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> LocatedDrive:
@@ -65,14 +65,19 @@ def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> Loc
 def _locate_calibrated(drive: Drive, checkpoint: Checkpoint, session: Session) -> LocatedDrive:
     """Locate the frames of a calibrated camera: of a robot, or carried by hand.
 
-    It is looked for the second after some frames, where many of them are lost, and at the end.
+    The second is looked for where many of the first frames are lost, and at the end.
     """
     files, start = drive.inputs.files, None
     looked = drive.options.mount == "free" or drive.options.unordered
-    if not drive.mapper.frame_count and not looked and len(files) > _FRAMES_TO_LOOK_AGAIN:
-        start = _track_frames(drive, checkpoint, session, first=_FRAMES_TO_LOOK_AGAIN)
+    for count in _FRAMES_TO_LOOK_AGAIN:
+        if looked or count >= len(files) or count <= drive.mapper.frame_count:
+            continue
+        first = count - drive.mapper.frame_count
+        start = _track_frames(drive, checkpoint, session, first=first, before=start)
         lost = start.reached - _size(start)[0]
-        looked = lost > _LOST_SHARE * start.reached and rocking.rocks(start, session)
+        if lost > _LOST_SHARE * start.reached:
+            looked = rocking.rocks(start, session)
+            break
     if looked and not session.interruption.happened:
         surveyed = _survey_calibrated(drive, session)
         if 2 * _size(surveyed)[0] > len(files):
