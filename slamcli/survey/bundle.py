@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from scipy import sparse
@@ -26,6 +27,7 @@ from slamcli.survey.projection import LOG_SCALE, PITCH, STATES, undistort
 CAUTIOUS_MATCHES, ALL_MATCHES = 10.0, 1e9
 # Cauchy's scale and the assumed noise, from the median residual, and their floors.
 _KERNEL_SIGMAS, _MIN_KERNEL_PIXELS, _MIN_NOISE_PIXELS = 3.0, 1.0, 0.1
+LensFree = Literal["none", "bend", "all"]
 _ITERATIONS, _TRIALS, _CONVERGED_SHARE = 25, 8, 1e-5
 _DAMPING, _MIN_DAMPING = 1e-4, 1e-9
 _BEHIND_PIXELS = 1e4
@@ -225,28 +227,27 @@ def adjust(
     lens: Lens,
     mount: Mount,
     *,
-    lens_known: bool = False,
+    lens_free: LensFree = "bend",
     independent: float = CAUTIOUS_MATCHES,
 ) -> Bundle:
     """Return the adjustment of the states of `frames`, from a first guess.
 
-    The focal length is estimated with all matches alone: by a few, smaller tilts of a shorter one
-    are more probable. It stays near its prior where the frames do not determine it, as those that
-    all look straight down do not.
+    A focal length that is free stays near its prior where the frames do not determine it, as those
+    that all look straight down do not.
 
     Parameters
     ----------
     pairs : sequence of Pair
         Between these frames, which they connect.
     states : (N, 6) float64
-    lens_known : bool
-        Leave the lens as it is.
+    lens_free : str
+        What of the lens is estimated: ``none``, its ``bend``, or ``all``.
     independent : float
         For how many independent matches a pair counts at most.
     """
     numbers = {frame: number for number, frame in enumerate(frames)}
     matches = _Matches(pairs, numbers, independent)
-    fixed = np.array([lens_known or independent < ALL_MATCHES, lens_known])
+    fixed = np.array([lens_free != "all", lens_free == "none"])
     prior, free = _prior(states, lens, mount, fixed)
     solver = _Solver(matches, prior, free, lens)
     solver.run()

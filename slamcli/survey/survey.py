@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from slamcli.survey import candidates
-from slamcli.survey.bundle import ALL_MATCHES, Bundle, adjust
+from slamcli.survey.bundle import ALL_MATCHES, Bundle, LensFree, adjust
 from slamcli.survey.candidates import NumberPair
 from slamcli.survey.features import SurveyFeatures
 from slamcli.survey.in_order import InOrder
@@ -24,6 +24,10 @@ _OVERLAP_ROUNDS, _OUTLIER_ROUNDS, _LEARNING_ROUNDS = 2, 4, 4
 # A pair is contradicted by the others when its median residual is this many times the pairs' own
 # median, and this share of the picture's longer side.
 _OUTLIER_FACTOR, _OUTLIER_SHARE = 5.0, 0.008
+# The focal length is estimated where pairs' median residual is at most this, with a mount so many
+# times looser [benchmarks/real_sets.py: 2.5 to 4 px over seabeds with relief give 0.1 to 0.3
+# widths; benchmarks/free_cameras.py: 0.15 px, right to 0.1 %].
+_MAX_FOCAL_PIXELS, _LOOSER = 1.0, 3.0
 _FIRST_MOUNT, _LOOSE_MOUNT = Mount(0.0, 0.3), Mount(0.005, 0.3)
 
 
@@ -130,18 +134,19 @@ def _solve(pairs: Sequence[Pair], frames: int, lens: Lens) -> tuple[list[SurveyM
 def _with_lens(one: SurveyMap, lens: Lens) -> SurveyMap:
     """Return a small map adjusted anew with the lens of the largest, which determines it better."""
     states, mount = one.bundle.states, one.bundle.mount
-    bundle = adjust(one.pairs, one.frames, states, lens, mount, lens_known=True)
-    return replace(one, bundle=_sharpened(bundle, one.pairs, one.frames, lens_known=True))
+    bundle = adjust(one.pairs, one.frames, states, lens, mount, lens_free="none")
+    return replace(one, bundle=_sharpened(bundle, one.pairs, one.frames, "none"))
 
 
 def _sharpened(
-    bundle: Bundle, pairs: Sequence[Pair], frames: Sequence[int], *, lens_known: bool = False
+    bundle: Bundle,
+    pairs: Sequence[Pair],
+    frames: Sequence[int],
+    lens_free: LensFree = "bend",
 ) -> Bundle:
     """Return a bundle adjusted to all matches with its own mount; its information stays."""
     states, lens, mount = rescaled(bundle.states), bundle.lens, bundle.mount
-    sharp = adjust(
-        pairs, frames, states, lens, mount, lens_known=lens_known, independent=ALL_MATCHES
-    )
+    sharp = adjust(pairs, frames, states, lens, mount, lens_free=lens_free, independent=ALL_MATCHES)
     return replace(
         sharp,
         states=rescaled(sharp.states),
@@ -174,8 +179,26 @@ def _solve_connected(
         parts = connected(pairs, max(members) + 1)
         if len(parts[0]) < len(members):
             return None, contradicted
-    bundle = _sharpened(bundle, pairs, members)
+    bundle = _sharpened(_with_focal(bundle, pairs, members), pairs, members)
     return SurveyMap(tuple(members), bundle, tuple(pairs)), contradicted
+
+
+def _with_focal(bundle: Bundle, pairs: Sequence[Pair], members: Sequence[int]) -> Bundle:
+    """Return the adjustment with the focal length that the frames give, where it is not known.
+
+    With a looser mount: smaller tilts, and so a shorter focal length, are more probable. Where the
+    matches do not agree, the floor has relief, which would give any focal length.
+    """
+    mount, prior = bundle.mount, bundle.lens.prior
+    known = prior is None or prior.focal_sigma == 0.0
+    if known or float(np.median(bundle.pair_pixels)) > _MAX_FOCAL_PIXELS:
+        return bundle
+    loose = replace(mount, tilt_sigma=_LOOSER * mount.tilt_sigma)
+    states = rescaled(bundle.states)
+    found = adjust(pairs, members, states, bundle.lens, loose, lens_free="all")
+    longer = found.lens.focal_pixels / bundle.lens.focal_pixels
+    mount = replace(mount, tilt_sigma=longer * mount.tilt_sigma)
+    return adjust(pairs, members, rescaled(found.states), found.lens, mount)
 
 
 def _outliers(bundle: Bundle, pairs: Sequence[Pair]) -> list[Pair]:
