@@ -25,6 +25,9 @@ from slamcli.survey.projection import LOG_SCALE, PITCH, STATES, undistort
 # they have, of relief and lens, they have in common [benchmarks/real_sets.py: with all 150 the tilt
 # of seabeds is learned as 20 degrees]. With the mount known all of them count, for a sharper map.
 CAUTIOUS_MATCHES, ALL_MATCHES = 10.0, 1e9
+# So many of them are then used, but for the focal length: with all a survey takes half as long
+# again.
+_CAUTIOUS_KEPT = 50
 # Cauchy's scale and the assumed noise, from the median residual, and their floors.
 _KERNEL_SIGMAS, _MIN_KERNEL_PIXELS, _MIN_NOISE_PIXELS = 3.0, 1.0, 0.1
 LensFree = Literal["none", "bend", "all"]
@@ -65,13 +68,20 @@ class Bundle:
 class _Matches:
     """The matches of all pairs as arrays: where each frame's points are transferred to."""
 
-    def __init__(self, pairs: Sequence[Pair], number: dict[int, int], independent: float) -> None:
-        counts = np.array([len(pair.pixels_a) for pair in pairs])
+    def __init__(
+        self,
+        pairs: Sequence[Pair],
+        number: dict[int, int],
+        independent: float,
+        most: int | None,
+    ) -> None:
+        kept = [_spread(len(pair.pixels_a), most) for pair in pairs]
+        counts = np.array([len(some) for some in kept])
         self.pair = np.repeat(np.arange(len(pairs)), counts)
         a = np.repeat([number[pair.a] for pair in pairs], counts)
         b = np.repeat([number[pair.b] for pair in pairs], counts)
-        pixels_a = np.concatenate([pair.pixels_a for pair in pairs])
-        pixels_b = np.concatenate([pair.pixels_b for pair in pairs])
+        pixels_a = np.concatenate([one.pixels_a[i] for one, i in zip(pairs, kept, strict=True)])
+        pixels_b = np.concatenate([one.pixels_b[i] for one, i in zip(pairs, kept, strict=True)])
         # By turns in either direction: neither scale is preferred.
         turned = np.arange(len(a)) % 2 == 1
         self.source, self.target = np.where(turned, b, a), np.where(turned, a, b)
@@ -137,6 +147,13 @@ class _Matches:
         lengths = np.linalg.norm(residual, axis=1)
         ends = np.flatnonzero(np.diff(self.pair)) + 1
         return np.array([float(np.median(part)) for part in np.split(lengths, ends)])
+
+
+def _spread(count: int, most: int | None) -> IntpArray:
+    """Return at most so many of the numbers below a count, evenly spread; None for all."""
+    if most is None or count <= most:
+        return np.arange(count)
+    return np.linspace(0, count - 1, most).round().astype(np.intp)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -246,7 +263,8 @@ def adjust(
         For how many independent matches a pair counts at most.
     """
     numbers = {frame: number for number, frame in enumerate(frames)}
-    matches = _Matches(pairs, numbers, independent)
+    few = independent < ALL_MATCHES and lens_free != "all"
+    matches = _Matches(pairs, numbers, independent, _CAUTIOUS_KEPT if few else None)
     fixed = np.array([lens_free != "all", lens_free == "none"])
     prior, free = _prior(states, lens, mount, fixed)
     solver = _Solver(matches, prior, free, lens)
