@@ -73,6 +73,7 @@ def fit_of(
     return MotionHypothesis(
         pose,
         np.diag(np.square(sigmas)),
+        np.diag(np.square(sigmas)),
         dense.Agreement(correlation, overlap, confirmed),
         evidence,
         normalised_correlation,

@@ -235,8 +235,9 @@ def expected_elsewhere(fit: MotionHypothesis, expected: Pose2) -> str:
 
 def check_observable(fit: MotionHypothesis, range_metres: float, options: MapperOptions) -> str:
     """Return why a motion is not determined in every direction."""
-    variances, directions = np.linalg.eigh(fit.covariance[:2, :2])
-    sigma, turn_sigma = math.sqrt(float(variances[1])), math.sqrt(float(fit.covariance[2, 2]))
+    covariance = fit.predicted_covariance
+    variances, directions = np.linalg.eigh(covariance[:2, :2])
+    sigma, turn_sigma = math.sqrt(float(variances[1])), math.sqrt(float(covariance[2, 2]))
     if sigma > options.max_sigma_share * range_metres:
         bearing = math.degrees(math.atan2(directions[1, 1], directions[0, 1])) % 180.0
         return (

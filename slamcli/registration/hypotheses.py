@@ -103,9 +103,9 @@ def outside_open_direction(
     fits: Sequence[MotionHypothesis], best: MotionHypothesis
 ) -> list[MotionHypothesis]:
     """Leave out what differs from the best only along its least certain direction."""
-    variances, directions = np.linalg.eigh(best.covariance[:2, :2])
+    variances, directions = np.linalg.eigh(best.predicted_covariance[:2, :2])
     max_across = SETTINGS.open_direction_sigmas * math.sqrt(float(variances[0]))
-    max_turn = SETTINGS.open_direction_sigmas * math.sqrt(float(best.covariance[2, 2]))
+    max_turn = SETTINGS.open_direction_sigmas * math.sqrt(float(best.predicted_covariance[2, 2]))
     kept = []
     for fit in fits:
         apart = best.pose.inverse() @ fit.pose
@@ -161,4 +161,4 @@ def without_duplicates(
 
 
 def _more_certain(fit: MotionHypothesis, other: MotionHypothesis) -> bool:
-    return bool(np.linalg.det(fit.covariance) < np.linalg.det(other.covariance))
+    return bool(np.linalg.det(fit.predicted_covariance) < np.linalg.det(other.predicted_covariance))

@@ -44,6 +44,8 @@ class MotionHypothesis:
         ``a_from_b``.
     covariance : (3, 3) float64
         Of x, y (m), theta (rad), in b's own axes.
+    predicted_covariance : (3, 3) float64
+        Likewise, on the safe side: for whether the motion is determined.
     agreement : Agreement
         Of the gray values at the finest level.
     evidence : float
@@ -60,6 +62,7 @@ class MotionHypothesis:
 
     pose: Pose2
     covariance: Float64Array
+    predicted_covariance: Float64Array
     agreement: dense.Agreement
     evidence: float
     correlation: float
@@ -75,7 +78,7 @@ class MotionHypothesis:
     @property
     def max_variance(self) -> float:
         """Variance of the translation along its least certain direction, square metres."""
-        return max_variance(self.covariance)
+        return max_variance(self.predicted_covariance)
 
 
 def max_variance(covariance: Float64Array) -> float:
@@ -96,7 +99,7 @@ def photometric_score(
     middle = dense.evidence(pair.a[1], pair.b[1], pose, view_a_from_view_b)
     correlation = max(fine.correlation, middle.correlation)
     return MotionHypothesis(
-        pose, covariance, agreement, fine.evidence, correlation, view_a_from_view_b
+        pose, covariance, covariance, agreement, fine.evidence, correlation, view_a_from_view_b
     )
 
 
@@ -107,7 +110,10 @@ def score_refined(pair: PyramidPair, refined: dense.PhotometricFit) -> MotionHyp
     )
     tilts = [0.0, *np.abs(refined.mounting_a[:2]), *np.abs(refined.mounting_b[:2])]
     return replace(
-        scored, rocking_suspected=refined.rocking_suspected, tilt_radians=float(max(tilts))
+        scored,
+        predicted_covariance=refined.predicted_covariance,
+        rocking_suspected=refined.rocking_suspected,
+        tilt_radians=float(max(tilts)),
     )
 
 
@@ -121,6 +127,7 @@ def score_coarsely(pair: PyramidPair, refined: dense.PhotometricFit) -> MotionHy
     return MotionHypothesis(
         pose,
         refined.covariance,
+        refined.predicted_covariance,
         dense.agreement(pair.a[0], pair.b[0], views),
         middle.evidence,
         middle.correlation,

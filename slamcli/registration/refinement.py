@@ -236,7 +236,7 @@ def _keep_better(
         return progress
     if best is not None and not (
         criteria.better(fit, best, rocking=tilt > 0.0)
-        and _is_determined(fit, best.covariance, problem)
+        and _is_determined(fit, best.predicted_covariance, problem)
     ):
         return progress
     if progress.masked and refined is not None and not criteria.mostly_obstructed(fit):
@@ -284,7 +284,8 @@ def refine_on_near_view(
     The far view's evidence is kept: it distinguished this motion from its rivals.
     """
     tilt = math.radians(options.tilt_sigma_degrees)
-    assumptions = dense.RefinementAssumptions(prior=dense.MotionPrior(fit.pose, fit.covariance))
+    prior = dense.MotionPrior(fit.pose, fit.predicted_covariance)
+    assumptions = dense.RefinementAssumptions(prior=prior)
     refined = dense.refine(near.a[:2], near.b[:2], fit.pose, calibration, tilt, assumptions)
     if refined is None:
         return fit

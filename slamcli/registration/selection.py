@@ -274,7 +274,8 @@ class PairContext:
             if verdict.outcome == "accepted":
                 link = Link(*frames, fit.pose, fit.covariance, inliers, score, "step")
             elif verdict.outcome == "partial":
-                partial = Link(*frames, fit.pose, fit.covariance, inliers, score, "partial")
+                covariance = fit.predicted_covariance
+                partial = Link(*frames, fit.pose, covariance, inliers, score, "partial")
         reason = "" if link is not None else f"{verdict.reason} (to {self.keyframe.name})"
         return RegistrationResult(
             self.keyframe,

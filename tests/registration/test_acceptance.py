@@ -226,9 +226,10 @@ def test_a_motion_is_open_where_its_sigma_is_too_large_a_share_of_the_range(
 
 def test_the_open_direction_is_the_widest_of_the_covariance() -> None:
     fit, along = fit_of(), np.array([math.cos(0.5), math.sin(0.5)])
-    covariance = fit.covariance.copy()
+    covariance = fit.predicted_covariance.copy()
     covariance[:2, :2] += 0.01 * np.outer(along, along)
-    reason = acceptance.check_observable(replace(fit, covariance=covariance), 2.0, OPTIONS)
+    open_fit = replace(fit, predicted_covariance=covariance)
+    reason = acceptance.check_observable(open_fit, 2.0, OPTIONS)
     assert reason.startswith(f"the motion is open along {math.degrees(0.5):.0f} degrees")
 
 

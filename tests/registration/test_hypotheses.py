@@ -96,7 +96,7 @@ def test_of_equal_motions_with_about_the_same_evidence_the_most_certain_is_kept(
     elsewhere = fit_of(Pose2(0.5), evidence=97.0)
     assert hypotheses.without_duplicates([certain, vague], PAIR) == [certain]
     assert hypotheses.without_duplicates([weaker, vague], PAIR) == [vague]
-    vaguer = replace(certain, covariance=2.0 * vague.covariance)
+    vaguer = replace(certain, predicted_covariance=2.0 * vague.predicted_covariance)
     assert hypotheses.without_duplicates([vaguer, vague], PAIR) == [vague]
     assert hypotheses.without_duplicates([elsewhere, vague], PAIR) == [vague, elsewhere]
 

@@ -58,6 +58,7 @@ class Script:
             return None
         return dense.PhotometricFit(
             fit.pose,
+            fit.predicted_covariance,
             fit.covariance,
             fit.view_a_from_view_b,
             np.zeros(0),
@@ -174,7 +175,7 @@ def test_a_steady_fit_that_is_open_is_kept_only_where_its_start_is_as_open(
         fit = replace(unsteady(sigmas=(0.001, sigma, 0.001)), evidence=100.0)
         scripted(start, fit, None, None)
         assert refined() is (fit if kept else start)
-        open_start = replace(start, covariance=fit.covariance)
+        open_start = replace(start, predicted_covariance=fit.predicted_covariance)
         scripted(open_start, fit, None, None)
         assert refined() is fit
 

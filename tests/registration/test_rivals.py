@@ -101,7 +101,7 @@ def test_rivals_are_refined_motions_other_than_the_fit_each_once(
         if round(start.x, 1) not in ends:
             return None
         end, nothing = ends[round(start.x, 1)], np.zeros(0)
-        return dense.PhotometricFit(end, np.eye(3), end.matrix, nothing, nothing, False)
+        return dense.PhotometricFit(end, np.eye(3), np.eye(3), end.matrix, nothing, nothing, False)
 
     monkeypatch.setattr(dense, "refine", refine)
     monkeypatch.setattr(rivals, "score_refined", lambda pair, refined: refined.a_from_b)

@@ -1,4 +1,10 @@
-"""The covariance of a photometric fit, from the gradients that both views share."""
+"""The covariance of a photometric fit: as gradients and noise predict it, and as residuals show it.
+
+The prediction rests on the gradients that both views share and on assumed noise; whether a motion
+is determined at all is decided by it. The covariance itself is the cluster-robust one (Liang and
+Zeger, Biometrika 73, 1986): the residuals' slopes are summed over blocks of the view, and these
+sums, whatever correlates the residuals within a block, have the variance that they show.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +25,11 @@ _CHANCE_SIGMAS = 2.0
 # with the floor: this share of an edge's gradient along it is no information
 # [guarded by benchmarks/robustness.py: jpeg, textureless-course].
 _ALIASING_SHARE = 0.01
+# Side of a block, pixels of the finest level: more than blur and texture correlate over, few enough
+# for many blocks a view [benchmarks/sigmas.py: NEES 2.2 to 5 at 16 and 32, up to twice that at 64].
+_BLOCK_PIXELS = 32.0
+# The prediction counts as much as this many blocks do.
+_PRIOR_BLOCKS = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,22 +75,45 @@ class NormalEquations:
     prior: Float64Array
 
 
-def covariance_of(b: PyramidLevel, solved: NormalEquations) -> Float64Array | None:
-    """Return the covariance (3, 3) of the motion, from the gradients that both views share.
+def covariances_of(
+    b: PyramidLevel, solved: NormalEquations
+) -> tuple[Float64Array, Float64Array] | None:
+    """Return the (3, 3) covariance of the motion, predicted and as the residuals show it.
 
     The noise of one view has gradients too, which would pass for information about a motion along a
     plain line; in the product with the other view's, whose noise is independent, they cancel on
     average. None where the information is not finite.
     """
+    central = _about_the_middle(solved)
+    found = _seen_information(b, solved, central)
+    if found is None:
+        return None
+    seen, scales = found
+    prior = central.T @ solved.prior @ central * scales
+    inverse = invert(seen + prior + _MIN_INFORMATION * np.eye(len(seen)))
+    spread = central.T @ _score_covariance(b, solved) @ central * scales + prior
+    predicted = central @ (inverse * scales) @ central.T
+    shown = central @ (inverse @ spread @ inverse * scales) @ central.T
+    return np.asarray(predicted[:3, :3], np.float64), np.asarray(shown[:3, :3], np.float64)
+
+
+def _about_the_middle(solved: NormalEquations) -> Float64Array:
+    """Return (K, K): unknowns about the middle of the overlap, where turn and shift are apart."""
+    central = np.eye(len(solved.slopes))
+    middle = solved.points.mean(axis=0)
+    central[:2, 2] = middle[1], -middle[0]
+    return central
+
+
+def _seen_information(
+    b: PyramidLevel, solved: NormalEquations, central: Float64Array
+) -> tuple[Float64Array, Float64Array] | None:
+    """Return (K, K) information that both views show, scaled, and the scales; None if infinite."""
     points, weight = solved.points, solved.weight
     right, up = pyramid.slopes(b.detail, b.metres_per_pixel)
     both = solved.slopes.copy()
     both[0], both[1] = -solved.places.sample(right), -solved.places.sample(up)
     both[2] = both[1] * points[:, 0] - both[0] * points[:, 1]
-    # About the middle of the overlap, rotation and translation are uncorrelated.
-    central = np.eye(len(both))
-    middle = points.mean(axis=0)
-    central[:2, 2] = middle[1], -middle[0]
     first, second = central.T @ solved.slopes, central.T @ both
     weighted = first * weight
     shared = weighted @ second.T
@@ -95,9 +129,18 @@ def covariance_of(b: PyramidLevel, solved: NormalEquations) -> Float64Array | No
     noise = np.einsum("ki,kl,li->i", vectors, unshared * scales, vectors)
     chance = np.sqrt((2.0 * np.maximum(values, 0.0) * noise + noise**2) / len(points))
     chance = np.maximum(_CHANCE_SIGMAS * chance, _ALIASING_SHARE)
-    seen = (vectors * np.maximum(values - chance, 0.0)) @ vectors.T
-    information = (
-        seen + central.T @ solved.prior @ central * scales + _MIN_INFORMATION * np.eye(len(seen))
-    )
-    covariance = invert(information) * scales
-    return np.asarray((central @ covariance @ central.T)[:3, :3], np.float64)
+    return (vectors * np.maximum(values - chance, 0.0)) @ vectors.T, scales
+
+
+def _score_covariance(b: PyramidLevel, solved: NormalEquations) -> Float64Array:
+    """Return the (K, K) covariance of the sum of the residuals' weighted slopes, by blocks."""
+    cells = np.floor(solved.points / (_BLOCK_PIXELS * b.metres_per_pixel)).astype(np.int64)
+    cells -= cells.min(axis=0)
+    block = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    scores = solved.slopes * (solved.weight * solved.residual)
+    sums = np.array([np.bincount(block, weights=score) for score in scores])
+    count = float(len(np.unique(block)))
+    predicted = (solved.slopes * solved.weight) @ solved.slopes.T
+    shown = sums @ sums.T * (count / max(count - 1.0, 1.0))
+    covariance: Float64Array = (count * shown + _PRIOR_BLOCKS * predicted) / (count + _PRIOR_BLOCKS)
+    return covariance

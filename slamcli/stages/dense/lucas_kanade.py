@@ -21,7 +21,7 @@ from slamcli.core.geometry import Pose2, invert
 from slamcli.core.records import PyramidLevel
 from slamcli.core.robust import SIGMA_PER_MAD
 from slamcli.stages.dense import rocking
-from slamcli.stages.dense.covariance import FitState, NormalEquations, covariance_of
+from slamcli.stages.dense.covariance import FitState, NormalEquations, covariances_of
 from slamcli.stages.dense.noise_points import without_noise
 from slamcli.stages.dense.photometric_residuals import (
     MIN_TEMPLATE_PIXELS,
@@ -49,7 +49,10 @@ _MIN_RESIDUAL_SHARE = 0.03
 # Interpolation and blur correlate about this many neighbouring residuals
 # [guarded by benchmarks/accuracy.py: NEES].
 _CORRELATED_PIXELS = 24.0
-_SYSTEMATIC_PIXELS = 0.02
+# Error by interpolation, blur and smear, which no residual shows: on the safe side, and usually
+# [benchmarks/sigmas.py: errors of 0.004 to 0.02 pixels in all].
+_MAX_SYSTEMATIC_PIXELS = 0.02
+_SYSTEMATIC_PIXELS = 0.005
 # A refinement that runs away from its start by more than this, in pixels of the coarsest level, has
 # found something else. From a search, whose rotations are steps apart, a motion that turns by no
 # more than half a step may shift by this share of what is seen
@@ -66,8 +69,11 @@ class PhotometricFit:
     Attributes
     ----------
     a_from_b : Pose2
+    predicted_covariance : (3, 3) float64
+        Of x, y (m), theta (rad) in b's own axes, as gradients and noise predict it, on the safe
+        side: for whether the motion is determined.
     covariance : (3, 3) float64
-        Of x, y (m), theta (rad) in b's own axes.
+        Likewise, as the residuals show it.
     view_a_from_view_b : (3, 3) float64
         Metres to metres, as the views show the floor: the motion, and the difference of each
         frame's tilt and height from the calibration's.
@@ -78,6 +84,7 @@ class PhotometricFit:
     """
 
     a_from_b: Pose2
+    predicted_covariance: Float64Array
     covariance: Float64Array
     view_a_from_view_b: Float64Array
     mounting_a: Float64Array
@@ -142,9 +149,10 @@ def refine(
     moved = a_from_b.inverse() @ solved.state.a_from_b
     if _ran_away(moved, levels_a, from_search=assumptions.from_search):
         return None
-    covariance = covariance_of(levels_b[0], solved)
-    if covariance is None:
+    covariances = covariances_of(levels_b[0], solved)
+    if covariances is None:
         return None
+    predicted, shown = covariances
     state = solved.state
     shown_a = rocking.shown_from_floor(calibration, state.mounting_a)
     shown_b = rocking.shown_from_floor(calibration, state.mounting_b)
@@ -156,7 +164,8 @@ def refine(
     )
     return PhotometricFit(
         state.a_from_b,
-        covariance + _systematic(levels_a[0]),
+        predicted + _systematic(levels_a[0], _MAX_SYSTEMATIC_PIXELS),
+        shown + _systematic(levels_a[0], _SYSTEMATIC_PIXELS),
         shown_a @ state.a_from_b.matrix @ invert(shown_b),
         state.mounting_a,
         state.mounting_b,
@@ -274,9 +283,9 @@ def _ran_away(moved: Pose2, levels_a: Sequence[PyramidLevel], *, from_search: bo
     return moved.translation_length > limit_metres
 
 
-def _systematic(finest: PyramidLevel) -> Float64Array:
+def _systematic(finest: PyramidLevel, sigma_pixels: float) -> Float64Array:
     """Return the (3, 3) covariance of what no residual shows: interpolation, blur, smear."""
-    sigma = _SYSTEMATIC_PIXELS * finest.metres_per_pixel
+    sigma = sigma_pixels * finest.metres_per_pixel
     return np.diag([sigma**2, sigma**2, (sigma / _reach(finest)) ** 2])
 
 

@@ -1,9 +1,8 @@
 """A posteriori variance factor: the links' real errors relative to their covariances.
 
-A link's covariance is estimated from two pictures with a margin for what these do not show: on
-clear floor it is several times too wide. A graph with loops measures it once more, by the variance
-of its residuals (the a posteriori variance factor of geodesy: Mikhail and Ackermann, Observations
-and Least Squares, 1976).
+A link's covariance is estimated from two pictures, and does not cover what these do not show. A
+graph with loops measures it once more, by the variance of its residuals (the a posteriori variance
+factor of geodesy: Mikhail and Ackermann, Observations and Least Squares, 1976).
 """
 
 from __future__ import annotations
