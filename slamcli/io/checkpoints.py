@@ -17,6 +17,7 @@ _FOLDER = ".resume"
 # The state that was saved last, and the one before it, for when the last is damaged.
 _STATE, _EARLIER = "mapper.state", "mapper.earlier"
 _MAGIC = b"slamcli state 1\n"
+_TILES = "tiles"
 
 
 class Checkpoint:
@@ -40,8 +41,15 @@ class Checkpoint:
         return self
 
     def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
-        if not self._kept and error is None:
+        if not self._kept and (error is None or self._is_empty()):
             self.close()
+
+    def _is_empty(self) -> bool:
+        """Return whether nothing was located and nothing painted."""
+        header, _, _ = self._read()
+        if header is None:
+            return not any(path.exists() for path in self._paths)
+        return header.get("located") == 0 and not (self.folder / _TILES).exists()
 
     def keep(self) -> None:
         """Do not delete the state at the end: the run is not complete."""
@@ -50,7 +58,7 @@ class Checkpoint:
     def tiles(self, options: str) -> Path:
         """Return where finished tiles are kept that were painted with some options."""
         digest = hashlib.sha256((self._key + options).encode("utf-8", "surrogateescape"))
-        return self.folder / "tiles" / digest.hexdigest()
+        return self.folder / _TILES / digest.hexdigest()
 
     @property
     def drawings(self) -> Path:
@@ -91,7 +99,8 @@ class Checkpoint:
         same = header is None or header.get("key") == key
         if same and resume:
             return True
-        if overwrite:
+        # Where nothing was located, nothing is lost by beginning anew.
+        if overwrite or (header is not None and header.get("located") == 0):
             self.close()
             return False
         far = "its saved state is damaged"

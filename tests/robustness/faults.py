@@ -3,7 +3,7 @@
 Each case cuts a run off at some moment, resumes it, and compares all files with those of a run
 that was left alone. One row is written for each; a list that is cut off goes on after its last row.
 
-    python tests/robustness/faults.py FOLDER [--kills 60] [--disks 20] [--size 640x480]
+    python tests/robustness/faults.py FOLDER [--kills 60] [--disks 20] [--size 640x480] [--survey]
 """
 
 from __future__ import annotations
@@ -79,8 +79,10 @@ class Outcome:
 class Drive:
     """A small drive, the command that stitches it, and the bytes that must come of it."""
 
-    def __init__(self, folder: Path, size: str, count: int) -> None:
+    def __init__(self, folder: Path, size: str, count: int, *, survey: bool = False) -> None:
         self.folder = folder
+        # Frames without a calibration are those of a survey.
+        self.survey = survey
         self.frames = folder / "frames"
         if not self.frames.is_dir():
             self._make(size, count)
@@ -123,7 +125,8 @@ class Drive:
             camera = re.sub(r" +# Undistorted.*", "", camera, flags=re.DOTALL)
             for old, new in _LARGE.items():
                 camera = camera.replace(old, new)
-        (making / "calibration.yaml").write_text(camera)
+        if not self.survey:
+            (making / "calibration.yaml").write_text(camera)
         making.rename(self.frames)
 
     def command(self, output: Path, *more: str) -> list[str]:
@@ -332,11 +335,12 @@ def main() -> None:
     parser.add_argument("--disks", type=int, default=20)
     parser.add_argument("--size", choices=("640x480", "1920x1080"), default="640x480")
     parser.add_argument("--frames", type=int, default=10)
+    parser.add_argument("--survey", action="store_true", help="frames without a calibration")
     given = parser.parse_args()
     # A shell lets what runs in the background ignore them, and so would the runs.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    drive = Drive(given.folder.resolve(), given.size, given.frames)
+    drive = Drive(given.folder.resolve(), given.size, given.frames, survey=given.survey)
     table = drive.folder / "faults.csv"
     output = drive.folder / "cut"
     done = len(table.read_text().splitlines()) - 1 if table.exists() else 0

@@ -39,6 +39,8 @@ _disturbance = partial(option, SimulationOptions().disturbances)
 # More, or larger ones, take minutes or gigabytes before the first frame.
 # [guarded by tests/robustness/boundaries.py]
 _NUMBER = Whole(Bounds(0, 1_000, whole=True))
+# More cover a tile wholly, and take seconds for each of hundreds of tiles.
+_MARKS = Whole(Bounds(0, 100, whole=True))
 
 _floor = section(
     ESSENTIAL,
@@ -67,13 +69,13 @@ _floor_details = expert(
     _surface(
         "tile_metres",
         "--tile",
-        Number(Bounds(0.01, 10)),
+        Number(Bounds(0.01, 5)),
         "Metres: side of a tile (tiles, carpet-tiles), joint to joint; of 20 squares of paper.",
     ),
     _surface(
         "grout_metres", "--grout", Number(Bounds(0, 10)), "Metres: width of the tiles' grout."
     ),
-    _surface("marks", "--marks", _NUMBER, "Number of spots on every tile, each at its own place."),
+    _surface("marks", "--marks", _MARKS, "Number of spots on every tile, each at its own place."),
     click.option(
         "--layout",
         type=PATH,

@@ -47,7 +47,11 @@ def begin(drive: Drive, checkpoint: Checkpoint, *, overwrite: bool) -> bool:
         strict=False,
     )
     key = run_key(f"{__version__} layout {_STATE_LAYOUT} {located_by!r}", drive.paths)
-    return checkpoint.begin(key, resume=drive.options.resume, overwrite=overwrite)
+    resumed = checkpoint.begin(key, resume=drive.options.resume, overwrite=overwrite)
+    if not resumed:
+        # A survey saves no other state: what it has painted is found by this one.
+        checkpoint.save({}, 0, len(drive.inputs.files))
+    return resumed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +78,8 @@ def resume(drive: Drive, checkpoint: Checkpoint, session: Session) -> Drive:
     columns, faults = checkpoint.load()
     for fault in faults:
         session.notify(f"{fault}; the run goes on without it")
-    if columns is None:
+    if not columns:
+        session.notify("resumed: no located frames were saved; all are located anew")
         return drive
     try:
         state = from_columns(_State, columns)

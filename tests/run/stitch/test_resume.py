@@ -276,6 +276,29 @@ def test_a_state_of_another_run_is_not_gone_on_with(tmp_path: Path) -> None:
     assert not checkpoint.folder.exists()
 
 
+def fail_without_located_frames(output: Path, *, painted: bool) -> None:
+    with Checkpoint(output) as checkpoint:
+        checkpoint.begin("key", resume=False, overwrite=False)
+        checkpoint.save({}, 0, 4)
+        if painted:
+            checkpoint.tiles("options").mkdir(parents=True)
+        raise OutputError("a fault")
+
+
+def test_a_state_without_located_frames_is_resumed_and_refuses_nothing(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="a fault"):
+        fail_without_located_frames(tmp_path, painted=False)
+    assert not (tmp_path / ".resume").exists()
+    with pytest.raises(OutputError, match="a fault"):
+        fail_without_located_frames(tmp_path, painted=True)
+    again = Checkpoint(tmp_path)
+    assert again.begin("key", resume=True, overwrite=False)
+    assert again.load() == ({}, [])
+    assert again.tiles("options").exists()
+    assert not Checkpoint(tmp_path).begin("other", resume=False, overwrite=False)
+    assert not again.folder.exists()
+
+
 def test_a_state_is_no_pickle(tmp_path: Path) -> None:
     checkpoint = Checkpoint(tmp_path)
     checkpoint.begin("key", resume=False, overwrite=False)
