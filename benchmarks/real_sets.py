@@ -3,9 +3,9 @@
 SLAMCLI_DATA=DATA python benchmarks/real_sets.py [SET ...]
 
 A row a set: frames in the largest map, maps, seconds, ATE after one similarity where there is
-truth, correlation of the heights with the truth's, and the median distance, in the map, of SIFT
+truth, correlation of the heights with the truth's, the median distance, in the map, of SIFT
 matches that are found independently of slamcli (OpenCV's defaults, a homography for each pair of
-neighbours).
+neighbours), and how many of the same frames OpenCV's Stitcher uses (SCANS).
 """
 
 from __future__ import annotations
@@ -46,9 +46,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("sets", nargs="*", default=SETS, metavar="SET")
     data = Path(os.environ.get("SLAMCLI_DATA", ""))
-    print(
-        f"{'set':<12} {'largest':>8} {'maps':>4} {'s':>6} {'ATE':>8} {'height':>7} {'SIFT px':>8}"
-    )
+    titles = f"{'set':<12} {'largest':>8} {'maps':>4} {'s':>6} {'ATE':>8} {'height':>7}"
+    print(f"{titles} {'SIFT px':>8} {'SCANS':>6}")
     for name in parser.parse_args().sets:
         folder = data / "real" / name
         if not folder.is_dir():
@@ -73,8 +72,19 @@ def row(name: str, folder: Path) -> str:
     share = f"{len(largest)}/{len(files)}"
     return (
         f"{name:<12} {share:>8} {len(sizes):>4} {seconds:>6.1f} {ate:>8.3g} {correlation:>7.2f} "
-        f"{distance:>8.2f}"
+        f"{distance:>8.2f} {used_by_scans(list(files.values())):>6}"
     )
+
+
+def used_by_scans(files: list[FrameFile]) -> int:
+    """Return how many of the frames OpenCV's Stitcher registers, at its own settings."""
+    pictures = [read_frame(file).image for file in files]
+    stitcher = cv2.Stitcher.create(cv2.Stitcher_SCANS)
+    try:
+        done = stitcher.estimateTransform(pictures) == cv2.Stitcher_OK
+    except cv2.error:
+        return 0
+    return len(stitcher.component()) if done else 0
 
 
 def against_truth(folder: Path, placed: list[PoseEstimate]) -> tuple[float, float]:

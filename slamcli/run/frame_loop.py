@@ -36,6 +36,7 @@ def run_mapper(
     session: Session,
     thumbnails: Thumbnails | None = None,
     before_step: Callable[[PreparedFrame], object] = lambda _prepared: None,
+    stop: int | None = None,
 ) -> Iterator[PreparedFrame]:
     """Pass the frames that a mapper has not seen through it; yield each when it has been.
 
@@ -45,11 +46,13 @@ def run_mapper(
         Takes the frames' thumbnails, where this process reads them.
     before_step : function
         Called with each frame when the mapper has seen only those before it.
+    stop : int or None
+        How many frames the mapper is to have seen in the end; None for all.
     """
     first = mapper.frame_count
     kept = None if session.scheduler else thumbnails
     work = partial(read_and_prepare, mapper.prepare, thumbnails=kept)
-    for done, prepared in enumerate(session.ordered(work, files[first:]), start=first + 1):
+    for done, prepared in enumerate(session.ordered(work, files[first:stop]), start=first + 1):
         before_step(prepared)
         mapper.step(prepared)
         session.progress("locating", done, len(files))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import islice
 
 from slamcli.core.errors import InputError
 from slamcli.core.records import PreparedFrame
@@ -31,7 +30,7 @@ from slamcli.survey.ideal_picture import ideal_picture
 _FRAMES_TO_NAME_A_FAULT = 16
 # Where of the first so many frames more than this share is not in one map, the camera may be
 # carried by hand [benchmarks/free_cameras.py].
-_FRAMES_TO_LOOK_AGAIN, _LOST_SHARE = (8, 16, 32, 64), 0.25
+_FRAMES_TO_LOOK_AGAIN, _LOST_SHARE = (8, 24, 64), 0.25
 
 
 def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> LocatedDrive:
@@ -72,8 +71,7 @@ def _locate_calibrated(drive: Drive, checkpoint: Checkpoint, session: Session) -
     for count in _FRAMES_TO_LOOK_AGAIN:
         if looked or count >= len(files) or count <= drive.mapper.frame_count:
             continue
-        first = count - drive.mapper.frame_count
-        start = _track_frames(drive, checkpoint, session, first=first, before=start)
+        start = _track_frames(drive, checkpoint, session, stop=count, before=start)
         lost = start.reached - _size(start)[0]
         if lost > _LOST_SHARE * start.reached:
             looked = rocking.rocks(start, session)
@@ -174,7 +172,7 @@ def _track_frames(
     checkpoint: Checkpoint,
     session: Session,
     *,
-    first: int | None = None,
+    stop: int | None = None,
     before: LocatedDrive | None = None,
 ) -> LocatedDrive:
     """Pass the frames through a mapper; those that it has seen are done.
@@ -184,8 +182,8 @@ def _track_frames(
 
     Parameters
     ----------
-    first : int or None
-        Stop after so many frames, with the map not yet optimised.
+    stop : int or None
+        Stop when the mapper has seen so many frames, with the map not yet optimised.
     before : LocatedDrive or None
         What such a call returned.
     """
@@ -194,14 +192,14 @@ def _track_frames(
         drive, thumbnails, vanished = before.drive, before.thumbnails, list(before.vanished)
     files, mapper = list(drive.inputs.files), drive.mapper
     try:
-        _locate(drive, files, thumbnails, vanished, checkpoint, session, first)
+        _locate(drive, files, thumbnails, vanished, checkpoint, session, stop)
     except InputError:
         # The cluster is lost; what it located is not.
         if mapper.frame_count and not vanished:
             resume.save(mapper, files, checkpoint)
         raise
     offset = ""
-    if first is None:
+    if stop is None:
         _refuse_contradiction(drive, checkpoint)
         offset = feed_shifted(mapper, drive.telemetry) if drive.telemetry.find_time_offset else ""
         finish(mapper, session)
@@ -228,10 +226,12 @@ def _locate(
     vanished: list[str],
     checkpoint: Checkpoint,
     session: Session,
-    first: int | None,
+    stop_at: int | None,
 ) -> None:
     """Pass the frames through the mapper; note each file's digest, and the names that vanished."""
     mapper, schedule = drive.mapper, resume.SaveSchedule()
+    if session.interruption.happened and mapper.frame_count:
+        return
     missing = {file.index for file in files if not file.path.exists()}
 
     def note_vanished(prepared: PreparedFrame) -> None:
@@ -242,8 +242,7 @@ def _locate(
                 resume.save(mapper, files, checkpoint)
             vanished.append(file.name)
 
-    frames = run_mapper(mapper, files, session, thumbnails, note_vanished)
-    for prepared in islice(frames, first):
+    for prepared in run_mapper(mapper, files, session, thumbnails, note_vanished, stop_at):
         done = prepared.index + 1
         files[prepared.index] = replace(files[prepared.index], digest=prepared.digest)
         if drive.options.debug:
