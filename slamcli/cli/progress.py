@@ -27,15 +27,20 @@ class ProgressBar:
     def __init__(self) -> None:
         self._messages = messages()
         self._terminal = sys.stderr.isatty() and not self._messages.quiet
-        self._started = self._begun = self._latest = self._shown = time.monotonic()
+        self._started = self._begun = self._shown = time.monotonic()
         self._stage = ""
+        # Of the present stage: the step that was shown first, and that which was shown last.
+        self._first = self._done = 0
         self._bar: tqdm[Any] | None = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show that `done` of `total` steps of `stage` are finished."""
-        if stage != self._stage:
+        if stage != self._stage or done < self._done:
             self._close()
-            self._stage, self._begun = stage, self._latest
+            # What came between two stages is no part of either, nor is it known how long the
+            # first step took.
+            self._stage, self._begun, self._first = stage, time.monotonic(), done
+        self._done = done
         self._log(done, total)
         if self._terminal:
             if self._bar is None:
@@ -44,14 +49,15 @@ class ProgressBar:
 
     def _log(self, done: int, total: int) -> None:
         """Write a line of the stage, when one is due: time, done of total, rate, time left."""
-        now = self._latest = time.monotonic()
+        now = time.monotonic()
         due = done == total or done % max(1, total // _LINES_PER_STAGE) == 0
         if not (due or now - self._shown >= _MAX_SECONDS):
             return
         self._shown = now
-        rate = done / max(now - self._begun, 1e-6)
-        left = f", {_clock((total - done) / rate)} left" if done < total else ""
-        line = f"{self._stage} {done}/{total}, {rate:.3g}/s, {_clock(now - self._started)} so far"
+        rate = (done - self._first) / max(now - self._begun, 1e-6)
+        speed = f"{rate:.3g}/s, " if rate else ""
+        left = f", {_clock((total - done) / rate)} left" if rate and done < total else ""
+        line = f"{self._stage} {done}/{total}, {speed}{_clock(now - self._started)} so far"
         if self._terminal:
             self._messages.record(line + left)
         else:

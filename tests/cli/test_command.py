@@ -213,6 +213,23 @@ def test_progress_in_a_log_has_times_a_rate_and_the_time_left(
     assert 6 <= len(lines) <= 14
 
 
+def test_a_stage_that_begins_anew_has_a_rate_of_its_own(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = [100.0]
+    monkeypatch.setattr("slamcli.cli.progress.time.monotonic", lambda: clock[0])
+    with ProgressBar() as bar:
+        for _ in range(2):
+            # Minutes of other work.
+            clock[0] += 300.0
+            for done in range(1, 11):
+                clock[0] += 1.0
+                bar("locating", done, 10)
+    lines = capsys.readouterr().err.splitlines()
+    assert "locating 1/10, 10:11 so far" in lines
+    assert lines[-1] == "locating 10/10, 1/s, 10:20 so far"
+
+
 def test_quiet_prints_the_result_alone(capsys: pytest.CaptureFixture[str]) -> None:
     from slamcli.cli.messages import messages
 

@@ -97,6 +97,7 @@ def self_calibrate(
     effort: Effort = THOROUGH,
 ) -> SelfCalibration:
     """Refine camera and poses by the frames that have been registered."""
+    session.notify("refining the camera by the frames: bundle adjustment, then locating anew")
     origin = None if inputs.calibration_path is None else load_origin(inputs.calibration_path)
     here = session.on_this_machine()
     return refine_calibration(
