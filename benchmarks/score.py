@@ -55,7 +55,7 @@ VARIANTS = (
     ),
     SimulationOptions(
         surface=FloorOptions(tile_metres=0.45, marks=3, wear=0.8),
-        camera=CameraOptions(size=(480, 360), height_metres=0.3, pitch_degrees=38.0),
+        camera=CameraOptions(size=(320, 240), height_metres=0.3, pitch_degrees=38.0),
         imaging=ImagingOptions(lamp_share=0.2, auto_exposure=True, sharpening=0.4),
         disturbances=DisturbanceOptions(rocking_degrees=0.15),
     ),
@@ -64,7 +64,7 @@ SEED = 11
 # Frames of the way, and others around it.
 ALONG, AROUND = 14, 6
 COURSE_RADIUS_METRES = 0.45
-RANDOM_PAIRS, SEARCHES = 150, 24
+RANDOM_PAIRS, SEARCHES = 300, 24
 PRIOR_SIGMAS, PRIOR_SHARE = (0.01, 0.03, 0.08), 0.7
 STIFFNESS = 0.3
 # Of each weight: evidence for a motion never counts against it, nor the reverse.
@@ -128,20 +128,23 @@ def _anywhere(generator: np.random.Generator, x: float, y: float, radians: float
     return Pose2(*(float(generator.uniform(-limit, limit)) for limit in (x, y, radians)))
 
 
-def motions(kind: str, variant: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the evidence about every motion of a cell, and whether it is right."""
+def motions(
+    kind: str, variant: int
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.int64]]:
+    """Return the evidence about every motion of a cell, whether it is right, and its trial."""
     generator = np.random.default_rng([SEED, list(floors.FLOORS).index(kind), variant])
     drive = drive_of(kind, variant, generator)
     mapper = Mapper(drive.calibration)
     prepared = [mapper.prepare(drive.frame(index)) for index in range(ALONG + AROUND)]
-    rows, right = [], []
-    for trial in list(trials(generator, VARIANTS[variant].surface.tile_metres)):
+    rows, right, numbers = [], [], []
+    for number, trial in enumerate(list(trials(generator, VARIANTS[variant].surface.tile_metres))):
         true = drive.truth[trial.a].inverse() @ drive.truth[trial.b]
         result = _registered(mapper, prepared, trial, true @ trial.off, generator)
         if result.fit is not None and result.evidence is not None:
             rows.append(result.evidence)
             right.append(not is_false(true.inverse() @ result.fit.pose))
-    return np.array(rows), np.array(right)
+            numbers.append(number)
+    return np.array(rows), np.array(right), np.array(numbers)
 
 
 def _registered(
@@ -231,9 +234,10 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     wanted = [c for c in cells[shard::shards] if not (folder / f"{c[0]}_{c[1]}.npz").exists()]
     for kind, variant in [] if arguments.summary else wanted[: arguments.limit]:
-        evidence, right = motions(kind, variant)
+        evidence, right, trial = motions(kind, variant)
         print(f"{kind} {variant}: {len(right)} motions, {right.mean():.0%} right", flush=True)
-        np.savez_compressed(folder / f"{kind}_{variant}.npz", evidence=evidence, right=right)
+        file = folder / f"{kind}_{variant}.npz"
+        np.savez_compressed(file, evidence=evidence, right=right, trial=trial)
     summarize(folder)
 
 
