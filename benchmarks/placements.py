@@ -91,7 +91,7 @@ def place(
 ) -> Placements:
     """Map the frames of a drive, whose indices are those of its true poses."""
     mapper = Mapper(calibration, options or MapperOptions())
-    seconds = 0.0
+    seconds, frames = 0.0, list(frames)
     for frame in frames:
         start = time.perf_counter()
         if odometry:
@@ -99,7 +99,9 @@ def place(
         mapper.update(frame)
         seconds += time.perf_counter() - start
     start = time.perf_counter()
-    estimates = mapper.finish()
+    estimates = mapper.finish(
+        prepare_again=lambda indices: [mapper.prepare(frames[index]) for index in indices]
+    )
     seconds += time.perf_counter() - start
     links = [
         link

@@ -23,7 +23,7 @@ from slamcli.stages.place_index import PlaceCandidate
 _DRIFT_SHARE = 0.01
 # Radius about a guess within which matches are searched, as a share of the camera's range; and the
 # number of the guess's sigmas that must fit in it. [guarded by benchmarks/accuracy.py]
-_GUESS_SHARE_OF_RANGE = 0.1
+GUESS_SHARE_OF_RANGE = 0.1
 _GUESS_SIGMAS = 2.0
 # Least share of a keyframe's floor that an earlier one sees by the poses.
 # [guarded by benchmarks/accuracy.py]
@@ -69,7 +69,7 @@ class LoopCandidates:
     ) -> None:
         self._recent = options.recent_keyframes
         self._range_metres = calibration.max_range_metres
-        self._reach_metres = _GUESS_SHARE_OF_RANGE * calibration.max_range_metres
+        self._reach_metres = GUESS_SHARE_OF_RANGE * calibration.max_range_metres
         self._footprint = covisibility.Footprint(calibration)
         self._database = database
 

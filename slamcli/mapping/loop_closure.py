@@ -29,7 +29,7 @@ Spread = Callable[[Callable[[Candidates], list[Link]], Iterable[Candidates]], It
 
 # A loop farther from the poses' motion is rejected, whatever the pixels say: chi-squared with 3
 # degrees of freedom, one in ten thousand.
-_MAX_SQUARED_MAHALANOBIS = 21.1
+MAX_SQUARED_MAHALANOBIS = 21.1
 # A candidate this near to a linked keyframe, in keyframes, is skipped.
 # [guarded by benchmarks/scale.py]
 _MAX_STEPS_BESIDE = 1
@@ -295,4 +295,4 @@ def _contradicts_poses(candidate: LoopCandidate, link: Link) -> bool:
     """Return whether a measured motion is too far from that by the poses."""
     covariance = candidate.covariance + link.covariance
     apart = squared_mahalanobis(candidate.expected, covariance, link.a_from_b)
-    return apart > _MAX_SQUARED_MAHALANOBIS
+    return apart > MAX_SQUARED_MAHALANOBIS

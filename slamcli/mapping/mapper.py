@@ -35,11 +35,12 @@ from slamcli.mapping.frame_checks import is_known
 from slamcli.mapping.keyframes import KeyframeDatabase
 from slamcli.mapping.locks import ReentrantLock
 from slamcli.mapping.loop_closure import LoopCloser, Spread
+from slamcli.mapping.lost_frames import LostFrames, PrepareAgain
 from slamcli.mapping.motion_model import MotionModel
 from slamcli.mapping.preprocessing import Preprocessor
 from slamcli.mapping.relocalization import Relocalizer
 from slamcli.mapping.saved_state import MapperState
-from slamcli.mapping.tracking import Tracker, begins_map
+from slamcli.mapping.tracking import Tracker, is_mostly_confirmed
 from slamcli.mapping.tracking_state import TrackingState
 from slamcli.registration import RegistrationResult
 
@@ -77,6 +78,7 @@ class Mapper:
             calibration, self.options, self._tracking, self._graph, self.sensors
         )
         self._tracker = Tracker(calibration, self.options, self._tracking, self._motion_model)
+        self._lost_frames = LostFrames(calibration, self.options, self._backend, self._database)
         self._registrations: list[RegistrationResult] = []
         self._lock = ReentrantLock()
 
@@ -220,7 +222,9 @@ class Mapper:
             return self._join_fragments(prepared)
         return self._relocalize_or_keep(prepared)
 
-    def finish(self, spread: Spread = map) -> list[PoseEstimate]:
+    def finish(
+        self, spread: Spread = map, prepare_again: PrepareAgain | None = None
+    ) -> list[PoseEstimate]:
         """Close the remaining loops, optimise the pose graph and return every final estimate.
 
         Fragments that links connect become one; they are numbered from the one with most frames
@@ -236,17 +240,27 @@ class Mapper:
         spread : function
             Like `map`, such as that of a `ThreadPoolExecutor`: used for the keyframes' loop
             closures, with the same result.
+        prepare_again : function or None
+            Of indices to these frames, as `prepare` returns them: lost frames that the poses before
+            and after them predict are registered once more. None: they stay lost.
         """
         with self._lock:
             self.sensors.check()
-            self._backend.solve()
-            while self.options.loops:
-                loops = self._loop_closer.find_loops(self._graph, spread)
-                if not loops:
-                    break
-                self._backend.solve(loops)
+            self._optimize(spread)
+            tilts = self._tracking.tilts_radians
+            while prepare_again is not None and self._lost_frames.place(prepare_again, tilts):
+                self._optimize(spread)
             self._tracking.forget_lost(self._graph.is_placed)
             return self.estimates
+
+    def _optimize(self, spread: Spread) -> None:
+        """Optimise the pose graph, and again while the poses predict further loops."""
+        self._backend.solve()
+        while self.options.loops:
+            loops = self._loop_closer.find_loops(self._graph, spread)
+            if not loops:
+                break
+            self._backend.solve(loops)
 
     def floor_map(self) -> FloorMap | None:
         """Return what `Locator` needs of the map so far; None while nothing is placed."""
@@ -341,7 +355,7 @@ class Mapper:
             window = self._motion_model.window_after_lost(last_lost, prepared)
             result = self._tracker.register(last_lost, prepared, window=window)
             self._registrations = [*tracked, result]
-            if result.link is not None and begins_map(result):
+            if result.link is not None and is_mostly_confirmed(result):
                 self._tracking.last_lost = None
                 self._begin_fragment(last_lost)
                 self._insert(prepared, [result])

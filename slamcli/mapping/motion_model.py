@@ -7,6 +7,7 @@ motion.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -27,12 +28,15 @@ _SEARCHED_SIGMAS = 3.0
 # No window is searched whose radius is a larger multiple of the camera's range: within it pixels
 # alone are no proof. [guarded by benchmarks/robustness.py]
 _MAX_RADIUS_IN_RANGES = 2.0
+# Frames that constant velocity predicts beyond the latest motion: lost ones lie between
+# [guarded by benchmarks/tiles.py, benchmarks/kidnap.py].
+_MAX_PREDICTED_STEPS = 4
 # The spread of constant velocity is learned from this many predictions on, and from the latest few.
 # The median of a two-dimensional error's length is 1.18 sigmas; robots also brake and bump, so that
 # two medians count as one sigma; none is below this share of the camera's range, and of a radian
 # [guarded by benchmarks/tiles.py].
 _MIN_PREDICTIONS = 4
-_MAX_PREDICTIONS = 20
+MAX_PREDICTIONS = 20
 _SIGMAS_OF_MEDIAN = 2.0
 _MIN_SIGMA_SHARE = 0.01
 
@@ -82,7 +86,7 @@ class MotionModel:
     def _add_prediction_error(self, error: Pose2) -> None:
         errors = self._tracking.prediction_errors
         errors.append((error.translation_length, abs(wrap_angle(error.theta))))
-        del errors[:-_MAX_PREDICTIONS]
+        del errors[:-MAX_PREDICTIONS]
 
     def by_odometry(self, index: int, prepared: PreparedFrame) -> Link | None:
         """Return the motion from a known frame to a new one by odometry; None without readings."""
@@ -96,24 +100,25 @@ class MotionModel:
         if (link := self.by_odometry(keyframe.index, prepared)) is not None:
             return dense.MotionPrior(link.a_from_b, link.covariance)
         motion, frame = self._tracking.motion, self._tracking.motion_frame
-        if motion is None or frame != prepared.index - 1:
+        steps = prepared.index - frame
+        if motion is None or not 1 <= steps <= _MAX_PREDICTED_STEPS:
             return None
         if self._graph[keyframe.index].fragment != self._graph[frame].fragment:
             return None
-        sigmas = self._prediction_sigmas()
-        return dense.MotionPrior(self._motion_from(keyframe) @ motion, np.diag(sigmas) ** 2)
+        predicted = self._motion_from(keyframe)
+        for _ in range(steps):
+            predicted = predicted @ motion
+        # The motion varies by one sigma from each step to the next.
+        sigmas = 0.5 * steps * (steps + 1) * np.array(self._prediction_sigmas())
+        return dense.MotionPrior(predicted, np.diag(sigmas) ** 2)
 
     def _prediction_sigmas(self) -> tuple[float, float, float]:
         """Return by how much the motion varies from one frame to the next: x, y (m), theta (rad).
 
         By the errors of the latest predictions; the free motion of a step before there are some.
         """
-        errors = self._tracking.prediction_errors
-        if len(errors) < _MIN_PREDICTIONS:
-            return self._step_metres, self._step_metres, self._angle_radians
-        metres, radians = np.median(np.array(errors), axis=0)
-        sigma = max(_SIGMAS_OF_MEDIAN * float(metres), _MIN_SIGMA_SHARE * self._range_metres)
-        return sigma, sigma, max(_SIGMAS_OF_MEDIAN * float(radians), _MIN_SIGMA_SHARE)
+        learned = sigmas_of_predictions(self._tracking.prediction_errors, self._range_metres)
+        return learned or (self._step_metres, self._step_metres, self._angle_radians)
 
     def predict_from_link(self, keyframe: PreparedFrame, link: Link) -> Pose2 | None:
         """Return ``keyframe_from_b`` by way of a link from another keyframe of its fragment."""
@@ -200,3 +205,22 @@ class MotionModel:
         """Return ``keyframe_from_latest`` of the frame whose motion is the latest known."""
         latest = self._graph.pose(self._tracking.motion_frame)
         return self._graph.pose(keyframe.index).inverse() @ latest
+
+
+def sigmas_of_predictions(
+    errors: Sequence[tuple[float, float]], range_metres: float
+) -> tuple[float, float, float] | None:
+    """Return by how much predicted motions are off: x, y (m), theta (rad); None if too few.
+
+    Parameters
+    ----------
+    errors : sequence of (float, float)
+        Of predictions: metres, radians.
+    range_metres : float
+        How far the camera sees.
+    """
+    if len(errors) < _MIN_PREDICTIONS:
+        return None
+    metres, radians = np.median(np.array(errors), axis=0)
+    sigma = max(_SIGMAS_OF_MEDIAN * float(metres), _MIN_SIGMA_SHARE * range_metres)
+    return sigma, sigma, max(_SIGMAS_OF_MEDIAN * float(radians), _MIN_SIGMA_SHARE)

@@ -16,9 +16,9 @@ from slamcli.stages import dense
 # this does not improve a steady camera's pose, and worsens a rocking one's.
 # [guarded by benchmarks/robustness.py, rocking]
 _MIN_OVERLAP_OF_THIRD = 0.4
-# Share of the informative patches that must agree for two frames that fit no map to begin one: half
-# of a hand before the lens agrees with a motion [benchmarks/kidnap.py: up to 0.52].
-_MIN_CONFIRMED_TO_BEGIN = 0.6
+# Share of the informative patches that must agree with the motion of a frame that fits no map: half
+# of a hand before the lens agrees with one [benchmarks/kidnap.py: up to 0.52].
+_MIN_CONFIRMED_OF_LOST = 0.6
 
 
 class Tracker:
@@ -159,12 +159,12 @@ class Tracker:
         return results
 
 
-def begins_map(result: RegistrationResult) -> bool:
-    """Return whether two frames that were lost, and fit each other, may begin a map of their own.
+def is_mostly_confirmed(result: RegistrationResult) -> bool:
+    """Return whether most of what two frames show agrees with their motion.
 
-    Nothing else supports their motion; most of what both show must agree with it.
+    Required where one was lost, or both were: they begin a map of their own then.
     """
-    return not result.confirmed < _MIN_CONFIRMED_TO_BEGIN
+    return not result.confirmed < _MIN_CONFIRMED_OF_LOST
 
 
 def _overlap(keyframe: PreparedFrame, prepared: PreparedFrame, guess: Pose2) -> float:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
+from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Pose2, wrap_angle
 from slamcli.core.records import FeatureAlignment, Link, PreparedFrame
 from slamcli.registration import acceptance, confidence, criteria, hypotheses, rivals
@@ -187,7 +189,8 @@ class PairContext:
         alternatives = rivals.refined(near, fit.pose, self._suggested(fit.pose), self.calibration)
         if is_open:
             alternatives = iter(hypotheses.outside_open_direction(list(alternatives), fit))
-        remaining = (rival for rival in alternatives if self._remains(near, fit, rival))
+        supported = Deferred(partial(self._marks_support, near, fit))
+        remaining = (one for one in alternatives if self._remains(near, fit, one, supported))
         return acceptance.check_rivals(fit, next(remaining, None))
 
     def _expected_beyond_view(self, near: PyramidPair, fit: MotionHypothesis) -> bool:
@@ -200,7 +203,17 @@ class PairContext:
         expected = dense.agreement(near.a[-1], near.b[-1], self.prior.a_from_b.matrix)
         return expected.overlap < _MIN_EXPECTED_OVERLAP
 
-    def _remains(self, near: PyramidPair, fit: MotionHypothesis, rival: MotionHypothesis) -> bool:
+    def _marks_support(self, near: PyramidPair, fit: MotionHypothesis) -> bool:
+        periods = self.keyframe.repeats, self.prepared.repeats
+        return rivals.marks_support(near, fit, *periods, self.calibration)
+
+    def _remains(
+        self,
+        near: PyramidPair,
+        fit: MotionHypothesis,
+        rival: MotionHypothesis,
+        supported: Deferred[bool],
+    ) -> bool:
         """Return whether neither the robot's reach nor the pixels rule a rival out."""
         if not self._is_possible(rival.pose) or acceptance.check_plausible(
             rival, self.max_displacement_metres, self.options
@@ -211,15 +224,15 @@ class PairContext:
         surprising = rivals.is_excluded(self.prior, fit.pose)
         expected_instead = surprising and rivals.is_expected(self.prior, rival.pose)
         # A narrow strip fits nearly anything, and shows few marks: its total evidence counts, or
-        # marks in it that the fit does not explain; unless the robot was expected there, or the
-        # floor shows no marks anywhere.
+        # marks in it that the fit does not explain, or no marks that support the fit itself; unless
+        # the robot was expected there.
         share = hypotheses.SETTINGS.min_compared_share
         if rival.agreement.overlap < share * fit.agreement.overlap and not expected_instead:
             limit = self.options.max_rival_evidence * fit.evidence
             return (
                 rival.evidence > limit
                 or hypotheses.preferred_by_marks(near, rival, fit)
-                or rivals.is_unmarked(near.a[0], self.keyframe.repeats)
+                or not supported.value
             )
         return not hypotheses.preferred(near, fit, rival)
 

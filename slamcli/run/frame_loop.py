@@ -59,10 +59,18 @@ def run_mapper(
         yield prepared
 
 
-def finish(mapper: Mapper, session: Session) -> None:
-    """Close the remaining loops, on the session's threads, and optimise the whole pose graph."""
+def finish(mapper: Mapper, files: Sequence[FrameFile], session: Session) -> None:
+    """Close the remaining loops, on the session's threads, and optimise the whole pose graph.
+
+    Lost frames that the poses around them predict are then read and registered once more.
+    """
+
+    def prepare_again(indices: Sequence[int]) -> Iterator[PreparedFrame]:
+        chosen = [files[index] for index in indices]
+        return session.ordered(partial(read_and_prepare, mapper.prepare), chosen)
+
     with session.threads() as executor:
-        mapper.finish(executor.map)
+        mapper.finish(executor.map, None if session.interruption.happened else prepare_again)
 
 
 def register(
@@ -72,7 +80,7 @@ def register(
     mapper = Mapper(calibration, options)
     for _ in run_mapper(mapper, files, session):
         pass
-    finish(mapper, session)
+    finish(mapper, files, session)
     return registration_of(mapper)
 
 

@@ -69,8 +69,21 @@ def test_the_latest_motion_is_repeated() -> None:
     assert_near(drive.tracking.motion or Pose2(), MOTION)
     assert drive.tracking.motion_frame == 3
     assert_near(expected_motion(drive, 1, 4), drive.motion(1, 4))
-    # Not where a frame is missing between.
-    assert drive.model.prior(frame(1), frame(5)) is None
+
+
+def test_the_latest_motion_is_repeated_across_lost_frames_with_a_spread_that_grows() -> None:
+    drive = Drive(8)
+    near = drive.model.prior(frame(1), frame(8))
+    assert near is not None
+    for steps, factor in ((2, 3.0), (4, 10.0)):
+        prior = drive.model.prior(frame(1), frame(7 + steps))
+        assert prior is not None
+        predicted = drive.motion(1, 8)
+        for _ in range(steps - 1):
+            predicted = predicted @ MOTION
+        assert_near(prior.a_from_b, predicted)
+        np.testing.assert_allclose(prior.covariance, factor**2 * near.covariance)
+    assert drive.model.prior(frame(1), frame(12)) is None
 
 
 def test_there_is_no_motion_over_a_break_or_to_another_fragment() -> None:

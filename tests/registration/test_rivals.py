@@ -5,12 +5,17 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+import worlds
 from hand_made_records import pair_of
 
+import slamcli
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.geometry import Grid, Pose2
-from slamcli.core.records import PyramidLevel, View
+from slamcli.core.records import Frame, PyramidLevel, View
 from slamcli.registration import rivals
+from slamcli.registration.hypothesis import PyramidPair, score_refined
+from slamcli.simulation import floors, photograph
+from slamcli.simulation.config import FloorOptions
 from slamcli.stages import dense
 
 METRES_PER_PIXEL = 0.001
@@ -59,12 +64,28 @@ def test_marks_tell_a_motion_from_the_one_a_tile_on(marks: int, blur: float) -> 
     assert dense.distinguishing_marks(a, b, rival, motion) == pytest.approx((contra, pro), abs=2)
 
 
-@pytest.mark.parametrize(("marks", "unmarked"), [(0, True), (1, False)])
-def test_a_floor_is_unmarked_that_is_the_same_one_period_on(marks: int, unmarked: bool) -> None:
-    level = level_of(tiles(marks), 200, 200, 2, 0.0)
-    period = np.array([[TILE * METRES_PER_PIXEL, 0.0]])
-    assert rivals.is_unmarked(level, period) is unmarked
-    assert not rivals.is_unmarked(level, np.empty((0, 2)))
+@pytest.mark.parametrize("marks", [0, 10])
+def test_marks_support_the_right_motion_alone(marks: int) -> None:
+    """One tile off, all pixels but the marks' agree; no other motion need be compared."""
+    surface = FloorOptions(wear=0.0, tile_metres=0.1, marks=marks)
+    floor = floors.make_floor("tiles", surface, 0.001, seed=3)
+    photographer = photograph.Photographer(
+        photograph.World(floor), photograph.make_camera(worlds.CAMERA)
+    )
+    mapper = slamcli.Mapper(photographer.calibration)
+    a, b = (
+        mapper.prepare(Frame(i, str(i), None, worlds.take(photographer, pose, i)))
+        for i, pose in enumerate((Pose2(), Pose2(0.03, 0.0, 0.02)))
+    )
+    pair = PyramidPair(a.levels, b.levels)
+    for motion in (Pose2(0.03, 0.0, 0.02), Pose2(0.03 - 0.1, 0.0, 0.02)):
+        refined = dense.refine(pair.a, pair.b, motion, mapper.calibration, 0.0)
+        assert refined is not None
+        assert refined.a_from_b.x == pytest.approx(motion.x, abs=0.001)
+        supported = rivals.marks_support(
+            pair, score_refined(pair, refined), a.repeats, b.repeats, mapper.calibration
+        )
+        assert supported is (marks > 0 and motion.x > 0)
 
 
 def test_views_that_share_no_floor_show_no_marks() -> None:
@@ -83,8 +104,8 @@ def test_a_floor_suggests_its_periods_in_either_view() -> None:
 
 def test_a_prior_expects_or_excludes_by_its_spread() -> None:
     prior = dense.MotionPrior(Pose2(0.1), np.diag([0.01, 0.02, 0.03]) ** 2)
-    assert rivals.is_expected(prior, Pose2(0.14))
-    assert not rivals.is_expected(prior, Pose2(0.141))
+    assert rivals.is_expected(prior, Pose2(0.127))
+    assert not rivals.is_expected(prior, Pose2(0.129))
     assert not rivals.is_excluded(prior, Pose2(0.159))
     assert rivals.is_excluded(prior, Pose2(0.161))
     assert rivals.is_excluded(prior, Pose2(0.1, 0.0, 0.181))

@@ -247,6 +247,7 @@ def test_a_floor_that_repeats_makes_a_motion_ambiguous(
 ) -> None:
     votes(preferred)
     monkeypatch.setattr(rivals, "refined", lambda *given: iter([alternative]))
+    monkeypatch.setattr(rivals, "marks_support", lambda *given: True)
     options, repeats = MapperOptions(max_step_metres=step), np.array([[0.3, 0.0]])
     context = context_of(options=options, repeats=repeats)
     reason = context.check_rivals(PAIR, fit_of(HERE))
@@ -257,6 +258,19 @@ def test_a_floor_that_repeats_makes_a_motion_ambiguous(
     assert result.reason == (f"{reason} (to frame 3)" if ambiguous else "")
     far = PyramidPair(PAIR.a, PAIR.b, far=True)
     assert context.check_rivals(far, fit_of(HERE)) == ""
+
+
+def test_a_narrow_rival_remains_where_no_marks_support_a_motion(
+    monkeypatch: pytest.MonkeyPatch, votes: Callable[[bool], None]
+) -> None:
+    votes(False)
+    strip = fit_of(ELSEWHERE, overlap=0.39, evidence=20.0)
+    monkeypatch.setattr(rivals, "refined", lambda *given: iter([strip]))
+    context = context_of(repeats=np.array([[0.3, 0.0]]))
+    for supported in (True, False):
+        monkeypatch.setattr(rivals, "marks_support", lambda *given, value=supported: value)
+        reason = context.check_rivals(PAIR, fit_of(HERE))
+        assert reason.startswith("ambiguous: the floor repeats") is not supported
 
 
 def test_a_period_along_the_open_direction_is_no_ambiguity(

@@ -93,6 +93,17 @@ class Backend:
         self._compare_odometry(links)
         return self.graph[prepared.index]
 
+    def place_between(self, prepared: PreparedFrame, link: Link) -> PoseEstimate:
+        """Insert a lost frame among placed ones by a link; `solve` then optimises all of them."""
+        odom = self.graph[link.a].odom_from_robot
+        self.graph.add_links([link])
+        return self.graph.set_estimate(
+            replace(
+                self.graph.predict_pose(prepared, [link]),
+                odom_from_robot=None if odom is None else odom @ link.a_from_b,
+            )
+        )
+
     def _compare_odometry(self, links: Sequence[Link]) -> None:
         """Compare odometry with what pictures showed, but for those that only repeat another."""
         for link in links:

@@ -202,7 +202,7 @@ def _track_frames(
     if stop is None:
         _refuse_contradiction(drive, checkpoint)
         offset = feed_shifted(mapper, drive.telemetry) if drive.telemetry.find_time_offset else ""
-        finish(mapper, session)
+        finish(mapper, files, session)
         _refuse_contradiction(drive, checkpoint)
     drive = replace(drive, inputs=replace(drive.inputs, files=files))
     registered = registration_of(mapper)

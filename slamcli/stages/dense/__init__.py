@@ -15,7 +15,7 @@ from slamcli.stages.dense.correlation_search import (
     search,
 )
 from slamcli.stages.dense.lucas_kanade import PhotometricFit, RefinementAssumptions, refine
-from slamcli.stages.dense.marks import distinguishing_marks
+from slamcli.stages.dense.marks import count_explained, distinguishing_marks, own_marks
 from slamcli.stages.dense.obstacles import ObstacleMask, find_obstacles
 from slamcli.stages.dense.periodicity import find_periods
 from slamcli.stages.dense.photometric_residuals import MotionPrior
@@ -38,6 +38,7 @@ __all__ = [
     "Search",
     "SearchWindow",
     "agreement",
+    "count_explained",
     "distinguishing_marks",
     "evidence",
     "find_obstacles",
@@ -48,6 +49,7 @@ __all__ = [
     "make_level_masks",
     "make_levels",
     "overlap",
+    "own_marks",
     "patch_votes",
     "refine",
     "search",

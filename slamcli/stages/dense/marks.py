@@ -8,14 +8,17 @@ differs by more than any of these explain.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.geometry import Pose2
 from slamcli.core.records import PyramidLevel
+from slamcli.stages.dense.lucas_kanade import refine
 from slamcli.stages.dense.warping import warp_onto
 
 # Side of the neighbourhood that is compared, pixels of the finest level, and what neighbourhoods of
@@ -53,10 +56,69 @@ def distinguishing_marks(
     both = first.inner & second.inner
     if not both.any():
         return 0, 0
-    noise = max(float(np.median(first.difference[both])), _MIN_NOISE)
+    noise = first.noise(both)
     return (
         _spots(both & first.explained(noise) & second.unexplained(noise)),
         _spots(both & second.explained(noise) & first.unexplained(noise)),
+    )
+
+
+def own_marks(
+    levels: Sequence[PyramidLevel], periods: Float64Array, calibration: Calibration
+) -> BoolArray:
+    """Return the pixels of a view that its own pattern does not explain, one period on.
+
+    Parameters
+    ----------
+    levels : sequence of PyramidLevel
+        The pyramid of the view, from fine to coarse.
+    periods : (K, 2) float64
+        Shifts, metres in the robot's axes, by which the view looks like itself.
+    calibration : Calibration
+
+    Returns
+    -------
+    (h, w) bool
+        At the finest level: marks, and where they would be one period on.
+    """
+    found = np.zeros(levels[0].detail.shape, np.bool_)
+    for x, y in periods:
+        shift = refine(levels, levels, Pose2(float(x), float(y)), calibration, 0.0)
+        if shift is None:
+            continue
+        apart = _compare(levels[0], levels[0], shift.view_a_from_view_b)
+        if apart.inner.any():
+            found |= apart.inner & apart.unexplained(apart.noise(apart.inner))
+    return found
+
+
+def count_explained(
+    a: PyramidLevel, b: PyramidLevel, view_a_from_view_b: Float64Array, marks: BoolArray
+) -> tuple[int, int]:
+    """Return how many marks of view a view b shows where a motion puts them, and how many not.
+
+    Parameters
+    ----------
+    a, b : PyramidLevel
+        The finest of each pyramid.
+    view_a_from_view_b : (3, 3) float64
+        Metres to metres.
+    marks : (h, w) bool
+        Those of view a, as `own_marks` returns them.
+    """
+    comparison = _compare(a, b, view_a_from_view_b)
+    if not comparison.inner.any():
+        return 0, 0
+    noise = comparison.noise(comparison.inner)
+    grown = cv2.dilate((marks & comparison.inner).astype(np.uint8), _AROUND)
+    count, labels, statistics, _ = cv2.connectedComponentsWithStats(grown)
+    pro = np.bincount(labels[comparison.explained(noise)], minlength=count)
+    contra = np.bincount(labels[comparison.unexplained(noise)], minlength=count)
+    large = statistics[:, cv2.CC_STAT_AREA] >= _MIN_SPOT_PIXELS
+    # The first label is the background.
+    large[0] = False
+    return int(np.count_nonzero(large & (pro > contra))), int(
+        np.count_nonzero(large & (contra > pro))
     )
 
 
@@ -75,6 +137,10 @@ class _Comparison:
     inner: BoolArray
     difference: Float32Array
     contrast: Float32Array
+
+    def noise(self, where: BoolArray) -> float:
+        """Return the usual difference in a part of the views, which is not empty."""
+        return max(float(np.median(self.difference[where])), _MIN_NOISE)
 
     def explained(self, noise: float) -> BoolArray:
         """Return where noise, a small shift and a little blur explain the difference."""
