@@ -25,6 +25,10 @@ _MIN_EXPECTED_OVERLAP = 0.2
 # motion of a step, before a robot's steadiness is known, does not
 # [guarded by benchmarks/courses.py].
 _MAX_SUPPORTING_SHARE = 0.1
+# Share of the informative patches that a motion must explain for an expected one to exclude others
+# without a look at the pixels [benchmarks/score.py, tiles and a prior one tile off: false motions
+# 0.75 to 0.92].
+_MIN_CONFIRMED_AS_EXPECTED = 0.95
 # [guarded by benchmarks/robustness.py: rocking on asphalt].
 _SIGMA_FACTOR_OF_FEATURES = 2.0
 
@@ -186,7 +190,7 @@ class PairContext:
         if self._expected_beyond_view(near, fit):
             assert self.prior is not None
             return acceptance.expected_elsewhere(fit, self.prior.a_from_b)
-        alternatives = rivals.refined(near, fit.pose, self._suggested(fit.pose), self.calibration)
+        alternatives = rivals.refined(near, fit.pose, self._suggested(fit), self.calibration)
         if is_open:
             alternatives = iter(hypotheses.outside_open_direction(list(alternatives), fit))
         supported = Deferred(partial(self._marks_support, near, fit))
@@ -221,6 +225,8 @@ class PairContext:
             return False
         if criteria.explains_more(fit, rival):
             return False
+        if self._excludes(rival.pose, fit.pose):
+            return hypotheses.preferred(near, rival, fit)
         surprising = rivals.is_excluded(self.prior, fit.pose)
         expected_instead = surprising and rivals.is_expected(self.prior, rival.pose)
         # A narrow strip fits nearly anything, and shows few marks: its total evidence counts, or
@@ -236,18 +242,23 @@ class PairContext:
             )
         return not hypotheses.preferred(near, fit, rival)
 
-    def _suggested(self, fit: Pose2) -> list[Pose2]:
+    def _suggested(self, fit: MotionHypothesis) -> list[Pose2]:
         """Return the motions that the floor and the prior suggest beside a fit."""
-        suggested = rivals.starts(fit, self.keyframe.repeats, self.prepared.repeats)
-        expected = rivals.is_expected(self.prior, fit)
+        suggested = rivals.starts(fit.pose, self.keyframe.repeats, self.prepared.repeats)
+        # A prior may be wrong; where the fit explains all, no other motion explains more.
+        explained = not fit.agreement.confirmed < _MIN_CONFIRMED_AS_EXPECTED
         starts = [
             start
             for start in suggested
-            if self._is_possible(start) and not (expected and rivals.is_excluded(self.prior, start))
+            if self._is_possible(start) and not (explained and self._excludes(start, fit.pose))
         ]
-        if self.prior is not None and rivals.is_excluded(self.prior, fit):
+        if self.prior is not None and rivals.is_excluded(self.prior, fit.pose):
             starts.insert(0, self.prior.a_from_b)
         return starts
+
+    def _excludes(self, pose: Pose2, fit: Pose2) -> bool:
+        """Return whether the prior excludes a motion beside a fit that is as expected."""
+        return rivals.is_expected(self.prior, fit) and rivals.is_excluded(self.prior, pose)
 
     def _is_possible(self, pose: Pose2) -> bool:
         """Return whether the robot may have moved so."""

@@ -297,18 +297,20 @@ def test_the_prior_chooses_among_motions_that_the_pixels_support_alike(
     overlaps = [0.2]
     monkeypatch.setattr(dense, "agreement", lambda *given: dense.Agreement(0.9, overlaps[0], 0.9))
 
-    def starts(prior: Pose2 | None, sigma: float) -> list[float]:
+    def starts(prior: Pose2 | None, sigma: float, confirmed: float = 0.95) -> list[float]:
         context = replace(
             context_of(repeats=period),
             prior=None if prior is None else dense.MotionPrior(prior, sigma**2 * np.eye(3)),
         )
-        context.check_rivals(PAIR, fit_of(HERE))
+        context.check_rivals(PAIR, fit_of(HERE, confirmed=confirmed))
         return sorted(round(start.x, 9) for start in begun.pop())
 
     assert starts(None, 1.0) == [-0.25, 0.35]
     assert starts(HERE, 0.01) == []
     assert starts(HERE, 0.049) == []
     assert starts(HERE, 0.051) == [-0.25, 0.35]
+    # What the fit leaves unexplained, a motion that is not expected may explain.
+    assert starts(HERE, 0.01, confirmed=0.949) == [-0.25, 0.35]
     # The fit itself is excluded: the expected motion is a rival beside those of the floor.
     assert starts(ELSEWHERE, 0.01) == [-0.25, 0.35, 0.35]
     # Where the expected motion shares too little floor the pixels cannot tell.
@@ -316,6 +318,20 @@ def test_the_prior_chooses_among_motions_that_the_pixels_support_alike(
     prior = dense.MotionPrior(ELSEWHERE, 0.01**2 * np.eye(3))
     reason = replace(context_of(), prior=prior).check_rivals(PAIR, fit_of(HERE))
     assert reason.startswith("ambiguous: the robot is expected 0.3 farther on")
+
+
+@pytest.mark.parametrize("preferred", [False, True])
+def test_an_unexpected_motion_counts_only_where_the_pixels_prefer_it(
+    monkeypatch: pytest.MonkeyPatch, preferred: bool
+) -> None:
+    alike = fit_of(ELSEWHERE, confirmed=0.9)
+    monkeypatch.setattr(rivals, "refined", lambda *given: iter([alike]))
+    monkeypatch.setattr(
+        hypotheses, "preferred", lambda pair, fit, rival: fit is alike and preferred
+    )
+    prior = dense.MotionPrior(HERE, 0.01**2 * np.eye(3))
+    context = replace(context_of(repeats=np.array([[0.3, 0.0]])), prior=prior)
+    assert bool(context.check_rivals(PAIR, fit_of(HERE))) is preferred
 
 
 def test_a_motion_that_explains_much_more_is_chosen_over_a_wider_overlap() -> None:
