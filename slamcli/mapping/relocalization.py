@@ -24,7 +24,9 @@ from slamcli.registration import (
     direct,
     register,
     register_where_features_agree,
+    rivals,
 )
+from slamcli.registration.hypothesis import PyramidPair
 from slamcli.stages import dense
 from slamcli.stages.place_index import PlaceCandidate
 
@@ -125,7 +127,7 @@ class Relocalizer:
         if result is None or not result.correlation >= _MIN_CORRELATION:
             return None
         result = self._checked(result)
-        return None if result.link is None else result
+        return result if result.link is not None and self._is_unmistakable(result) else None
 
     def _checked(self, result: RegistrationResult) -> RegistrationResult:
         """Return a result as a loop, without its link where much of the floor does not agree."""
@@ -140,6 +142,14 @@ class Relocalizer:
             reason = f"only {share:.0%} of the floor is unchanged (to {result.keyframe.name})"
             return replace(result, link=None, reason=reason)
         return replace(result, link=replace(result.link, kind="loop"))
+
+    def _is_unmistakable(self, result: RegistrationResult) -> bool:
+        """Return whether a floor does not repeat, or its marks are where a motion puts them."""
+        periods = result.keyframe.repeats, result.prepared.repeats
+        if result.fit is None or not any(len(shifts) for shifts in periods):
+            return True
+        pair = PyramidPair(result.keyframe.levels, result.prepared.levels)
+        return rivals.marks_support(pair, result.fit, *periods, self._calibration, alone=True)
 
     def track(
         self, a: int, prepared: PreparedFrame, prior: dense.MotionPrior

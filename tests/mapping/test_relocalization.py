@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from worlds import make_photographer, take
 
 import slamcli
+from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame, PoseEstimate, PreparedFrame
 from slamcli.mapping.backend.pose_graph import PoseGraph
 from slamcli.mapping.keyframes import KeyframeDatabase, encode_keyframe
 from slamcli.mapping.preprocessing import Preprocessor
 from slamcli.mapping.relocalization import Relocalizer, are_near
+from slamcli.registration import rivals
 from slamcli.stages.place_index import PlaceCandidate
 
 
@@ -114,6 +117,21 @@ def test_only_a_registration_with_many_inliers_is_reliable(floor: Floor) -> None
     database = relocalizer.database
     strictly = Relocalizer(floor.camera, strict, database)
     assert strictly.register_reliably(0, prepared, Pose2(0.02)) is None
+
+
+@pytest.mark.parametrize("repeats", [False, True])
+def test_a_frame_is_found_on_a_floor_that_repeats_only_by_its_marks(
+    monkeypatch: pytest.MonkeyPatch, floor: Floor, repeats: bool
+) -> None:
+    relocalizer, _ = floor.map({Pose2(): Pose2()})
+    prepared = floor.look(Pose2(0.02), 9)
+    if repeats:
+        period = Deferred.of(np.array([[5.0, 0.0]]))
+        prepared = replace(prepared, periodicity=period)
+    for supported in (True, False):
+        monkeypatch.setattr(rivals, "marks_support", lambda *given, value=supported, alone: value)
+        found = relocalizer.register_reliably(0, prepared, Pose2(0.02))
+        assert (found is not None) is (supported or not repeats)
 
 
 def test_poses_are_near_within_a_distance_and_an_angle() -> None:

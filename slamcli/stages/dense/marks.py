@@ -16,7 +16,7 @@ import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array
 from slamcli.core.camera.calibration import Calibration
-from slamcli.core.geometry import Pose2
+from slamcli.core.geometry import Pose2, invert
 from slamcli.core.records import PyramidLevel
 from slamcli.stages.dense.lucas_kanade import refine
 from slamcli.stages.dense.warping import warp_onto
@@ -66,7 +66,7 @@ def distinguishing_marks(
 def own_marks(
     levels: Sequence[PyramidLevel], periods: Float64Array, calibration: Calibration
 ) -> BoolArray:
-    """Return the pixels of a view that its own pattern does not explain, one period on.
+    """Return the pixels of a view that its own pattern explains in no direction, one period on.
 
     Parameters
     ----------
@@ -79,17 +79,20 @@ def own_marks(
     Returns
     -------
     (h, w) bool
-        At the finest level: marks, and where they would be one period on.
+        At the finest level: what repeats under none of the periods.
     """
-    found = np.zeros(levels[0].detail.shape, np.bool_)
+    shape = levels[0].detail.shape
+    compared, explained = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
     for x, y in periods:
         shift = refine(levels, levels, Pose2(float(x), float(y)), calibration, 0.0)
         if shift is None:
             continue
-        apart = _compare(levels[0], levels[0], shift.view_a_from_view_b)
-        if apart.inner.any():
-            found |= apart.inner & apart.unexplained(apart.noise(apart.inner))
-    return found
+        for motion in (shift.view_a_from_view_b, invert(shift.view_a_from_view_b)):
+            apart = _compare(levels[0], levels[0], motion)
+            if apart.inner.any():
+                compared |= apart.inner
+                explained |= apart.inner & ~apart.unexplained(apart.noise(apart.inner))
+    return np.asarray(compared & ~explained)
 
 
 def count_explained(
