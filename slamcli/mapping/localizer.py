@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from slamcli.core.arrays import UInt8Array
-from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.failures import FAILURES, logged
-from slamcli.core.geometry import Grid, Pose2, relative_poses
+from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import FloorMap, Frame, Link, PoseEstimate, PreparedFrame
-from slamcli.mapping.backend.pose_graph import PoseGraph, PoseGraphReader, lost
+from slamcli.mapping.backend.pose_graph import PoseGraph, lost
 from slamcli.mapping.keyframes import KeyframeDatabase
 from slamcli.mapping.locks import ReentrantLock
+from slamcli.mapping.near_keyframes import NearKeyframes
 from slamcli.mapping.preprocessing import Preprocessor
 from slamcli.mapping.relocalization import Relocalizer
 from slamcli.registration.rivals import is_expected
@@ -58,7 +58,9 @@ class Locator:
         for estimate in floor_map.estimates:
             self._graph.set_estimate(estimate)
         self._options = options
-        self._near = NearKeyframes(floor_map.calibration, database, self._graph)
+        placed = [index for index in database.order if self._graph.is_placed(index)]
+        footprint = covisibility.Footprint(floor_map.calibration)
+        self._near = NearKeyframes(footprint, placed, self._graph)
         self._count, self._lock = 0, ReentrantLock()
 
     @property
@@ -128,7 +130,7 @@ class Locator:
         """Return the link from a keyframe near an expected pose; None where none is proven."""
         metres, radians = sigma
         covariance = np.diag([metres, metres, radians]) ** 2
-        nearest = self._near.find(near)
+        nearest = self._near.find(near, _MAX_KEYFRAMES, _MIN_OVERLAP)
         for index, expected in nearest:
             prior = dense.MotionPrior(expected, covariance)
             result = self._relocalizer.track(index, prepared, prior)
@@ -201,38 +203,3 @@ class Follower:
                 self._motion = Pose2()
             self._pose, self._since = found, 0
         return estimate
-
-
-class NearKeyframes:
-    """The keyframes of a map that see the floor at a pose, by the map's poses.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    database : KeyframeDatabase
-    graph : PoseGraphReader
-        Finished: poses do not change.
-    """
-
-    def __init__(
-        self, calibration: Calibration, database: KeyframeDatabase, graph: PoseGraphReader
-    ) -> None:
-        self._footprint = covisibility.Footprint(calibration)
-        self._indices = [index for index in database.order if graph.is_placed(index)]
-        poses = [graph.pose(index) for index in self._indices]
-        self._poses = np.array([(p.x, p.y, p.theta) for p in poses]).reshape(-1, 3)
-
-    def find(self, near: Pose2) -> list[tuple[int, Pose2]]:
-        """Return a few keyframes, most overlap first, each with ``keyframe_from_robot``."""
-        here = np.array([near.x, near.y, near.theta])
-        apart = np.linalg.norm(self._poses[:, :2] - here[:2], axis=1)
-        reach = 2.0 * (self._footprint.radius_metres + np.linalg.norm(self._footprint.centre))
-        close = np.flatnonzero(apart < reach)
-        motions = relative_poses(self._poses[close], here)
-        shares = self._footprint.overlaps(motions)
-        best = np.argsort(-shares, kind="stable")[:_MAX_KEYFRAMES]
-        return [
-            (self._indices[close[number]], Pose2(*motions[number].tolist()))
-            for number in best
-            if shares[number] >= _MIN_OVERLAP
-        ]

@@ -23,7 +23,7 @@ from slamcli.stages.place_index import PlaceCandidate
 _DRIFT_SHARE = 0.01
 # Radius about a guess within which matches are searched, as a share of the camera's range; and the
 # number of the guess's sigmas that must fit in it. [guarded by benchmarks/accuracy.py]
-GUESS_SHARE_OF_RANGE = 0.1
+_GUESS_SHARE_OF_RANGE = 0.1
 _GUESS_SIGMAS = 2.0
 # Least share of a keyframe's floor that an earlier one sees by the poses.
 # [guarded by benchmarks/accuracy.py]
@@ -62,6 +62,11 @@ class LoopCandidates:
     calibration : Calibration
     options : MapperOptions
     database : KeyframeDatabase
+
+    Attributes
+    ----------
+    max_sigma_metres : float
+        Largest position sigma of a guess about which matches are searched.
     """
 
     def __init__(
@@ -69,14 +74,10 @@ class LoopCandidates:
     ) -> None:
         self._recent = options.recent_keyframes
         self._range_metres = calibration.max_range_metres
-        self._reach_metres = GUESS_SHARE_OF_RANGE * calibration.max_range_metres
+        self._reach_metres = _reach_metres(calibration)
+        self.max_sigma_metres = max_sigma_metres(calibration)
         self._footprint = covisibility.Footprint(calibration)
         self._database = database
-
-    @property
-    def max_sigma_metres(self) -> float:
-        """Largest position sigma of a guess about which matches are searched."""
-        return self._reach_metres / _GUESS_SIGMAS
 
     def by_poses(self, graph: PoseGraphReader) -> Iterator[LoopCandidate]:
         """Yield pairs that see the same floor by their poses, where these are certain enough."""
@@ -148,6 +149,15 @@ class LoopCandidates:
         """Return the (3, 3) covariance of a motion with an error in metres within the range."""
         sigma = max(sigma_metres, _DRIFT_SHARE * self._reach_metres)
         return np.diag([sigma, sigma, sigma / self._range_metres]) ** 2
+
+
+def max_sigma_metres(calibration: Calibration) -> float:
+    """Return the largest position sigma of a guess about which matches are searched."""
+    return _reach_metres(calibration) / _GUESS_SIGMAS
+
+
+def _reach_metres(calibration: Calibration) -> float:
+    return _GUESS_SHARE_OF_RANGE * calibration.max_range_metres
 
 
 def _sigma_metres(link: Link) -> float:

@@ -29,7 +29,7 @@ Spread = Callable[[Callable[[Candidates], list[Link]], Iterable[Candidates]], It
 
 # A loop farther from the poses' motion is rejected, whatever the pixels say: chi-squared with 3
 # degrees of freedom, one in ten thousand.
-MAX_SQUARED_MAHALANOBIS = 21.1
+_MAX_SQUARED_MAHALANOBIS = 21.1
 # A candidate this near to a linked keyframe, in keyframes, is skipped.
 # [guarded by benchmarks/scale.py]
 _MAX_STEPS_BESIDE = 1
@@ -242,7 +242,7 @@ class LoopCloser:
         except FrameError:  # the keyframe's pictures, from a damaged map
             self._failed[pair] = candidate.guess
             return None
-        if result is None or result.link is None or _contradicts_poses(candidate, result.link):
+        if result is None or result.link is None or contradicts(prior, result.link):
             self._failed[pair] = candidate.guess
             return None
         return result.link
@@ -291,8 +291,8 @@ class _LinkedKeyframes:
         )
 
 
-def _contradicts_poses(candidate: LoopCandidate, link: Link) -> bool:
-    """Return whether a measured motion is too far from that by the poses."""
-    covariance = candidate.covariance + link.covariance
-    apart = squared_mahalanobis(candidate.expected, covariance, link.a_from_b)
-    return apart > MAX_SQUARED_MAHALANOBIS
+def contradicts(prior: dense.MotionPrior, link: Link) -> bool:
+    """Return whether a measured motion is too far from that which the poses predict."""
+    covariance = prior.covariance + link.covariance
+    apart = squared_mahalanobis(prior.a_from_b, covariance, link.a_from_b)
+    return apart > _MAX_SQUARED_MAHALANOBIS

@@ -13,19 +13,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
 from slamcli.core.failures import FAILURES, logged
-from slamcli.core.geometry import Pose2, pose_array, squared_mahalanobis, wrap_angle
+from slamcli.core.geometry import Pose2, wrap_angle
 from slamcli.core.records import PoseEstimate, PreparedFrame
 from slamcli.mapping import camera_tilt
 from slamcli.mapping.backend.backend import Backend
 from slamcli.mapping.keyframes import KeyframeDatabase
-from slamcli.mapping.loop_candidates import GUESS_SHARE_OF_RANGE
-from slamcli.mapping.loop_closure import MAX_SQUARED_MAHALANOBIS
-from slamcli.mapping.motion_model import MAX_PREDICTIONS, sigmas_of_predictions
+from slamcli.mapping.loop_candidates import max_sigma_metres
+from slamcli.mapping.loop_closure import contradicts
+from slamcli.mapping.motion_model import MAX_PREDICTIONS, repeated, sigmas_of_predictions
+from slamcli.mapping.near_keyframes import NearKeyframes
 from slamcli.mapping.tracking import is_mostly_confirmed
 from slamcli.registration import RegistrationResult, register
 from slamcli.stages import covisibility, dense
@@ -122,18 +122,20 @@ class LostFrames:
             return None
         fragment, map_prior = prior
         result = None
-        for index in self._nearest_keyframes(fragment, map_prior.a_from_b):
+        members = [i for i in self._database.order if self._is_tracked(i, fragment)]
+        keyframes = NearKeyframes(self._footprint, members, self._graph)
+        near = keyframes.find(map_prior.a_from_b, _MAX_TRIED, self._options.min_overlap)
+        for index, expected in near:
             try:
                 keyframe = self._database.decode(index)
             except FrameError:  # the keyframe's pictures, from a damaged map
                 continue
-            expected = self._graph.pose(index).inverse() @ map_prior.a_from_b
-            near = dense.MotionPrior(expected, map_prior.covariance)
+            prior_here = dense.MotionPrior(expected, map_prior.covariance)
             result = self._checked(
                 register(
-                    keyframe, prepared, expected, self._calibration, self._options, prior=near
+                    keyframe, prepared, expected, self._calibration, self._options, prior=prior_here
                 ),
-                near,
+                prior_here,
                 tilts_radians,
             )
             if result.link is not None:
@@ -147,9 +149,7 @@ class LostFrames:
         result = camera_tilt.without_unusual(result, tilts_radians, self._options)
         if result.link is None:
             return result
-        covariance = prior.covariance + result.link.covariance
-        apart = squared_mahalanobis(prior.a_from_b, covariance, result.link.a_from_b)
-        if apart <= MAX_SQUARED_MAHALANOBIS and is_mostly_confirmed(result):
+        if is_mostly_confirmed(result) and not contradicts(prior, result.link):
             return result
         reason = f"the frames before and after contradict the fit (to {result.keyframe.name})"
         return replace(result, link=None, reason=reason)
@@ -179,10 +179,7 @@ class LostFrames:
             return None
         fragment, prior = predicted
         sigma = math.sqrt(float(prior.covariance[:2, :2].max()))
-        # Within half of the radius about a guess that matches are searched in.
-        if sigma > 0.5 * GUESS_SHARE_OF_RANGE * self._calibration.max_range_metres:
-            return None
-        return fragment, prior
+        return None if sigma > max_sigma_metres(self._calibration) else (fragment, prior)
 
     def _by_odometry(
         self, estimate: PoseEstimate, near: _Neighbours
@@ -222,9 +219,7 @@ class LostFrames:
             if not self._is_tracked(other, fragment):
                 return None
             motion = graph.pose(other).inverse() @ graph.pose(anchor)
-            pose = graph.pose(anchor)
-            for _ in range(abs(beyond)):
-                pose = pose @ motion
+            pose = repeated(graph.pose(anchor), motion, abs(beyond))
             spread = 0.5 * abs(beyond) * (abs(beyond) + 1)
         return fragment, dense.MotionPrior(pose, np.diag(spread * np.array(sigmas)) ** 2)
 
@@ -243,16 +238,6 @@ class LostFrames:
     def _is_tracked(self, index: int, fragment: int) -> bool:
         known = self._graph.get(index)
         return known is not None and known.status == "tracked" and known.fragment == fragment
-
-    def _nearest_keyframes(self, fragment: int, map_from_frame: Pose2) -> list[int]:
-        """Return the keyframes of a fragment that see most of what a frame sees from a pose."""
-        members = [i for i in self._database.order if self._is_tracked(i, fragment)]
-        if not members:
-            return []
-        motions = [self._graph.pose(index).inverse() @ map_from_frame for index in members]
-        shares: Float64Array = self._footprint.overlaps(pose_array(motions))
-        order = np.argsort(-shares, kind="stable")[:_MAX_TRIED]
-        return [members[n] for n in order if shares[n] >= self._options.min_overlap]
 
 
 def _share_of(motion: Pose2, share: float) -> Pose2:

@@ -105,9 +105,7 @@ class MotionModel:
             return None
         if self._graph[keyframe.index].fragment != self._graph[frame].fragment:
             return None
-        predicted = self._motion_from(keyframe)
-        for _ in range(steps):
-            predicted = predicted @ motion
+        predicted = repeated(self._motion_from(keyframe), motion, steps)
         # The motion varies by one sigma from each step to the next.
         sigmas = 0.5 * steps * (steps + 1) * np.array(self._prediction_sigmas())
         return dense.MotionPrior(predicted, np.diag(sigmas) ** 2)
@@ -196,15 +194,21 @@ class MotionModel:
         radius_metres = steps * (self._step_metres + motion.translation_length)
         if steps > _MAX_UNGUIDED_STEPS and radius_metres > self._max_radius_metres:
             return None
-        predicted = start
-        for _ in range(steps):
-            predicted = predicted @ motion
+        predicted = repeated(start, motion, steps)
         return dense.SearchWindow(predicted, self._angle_radians, radius_metres)
 
     def _motion_from(self, keyframe: PreparedFrame) -> Pose2:
         """Return ``keyframe_from_latest`` of the frame whose motion is the latest known."""
         latest = self._graph.pose(self._tracking.motion_frame)
         return self._graph.pose(keyframe.index).inverse() @ latest
+
+
+def repeated(start: Pose2, motion: Pose2, steps: int) -> Pose2:
+    """Return the pose after some steps of one motion from a start: constant velocity."""
+    pose = start
+    for _ in range(steps):
+        pose = pose @ motion
+    return pose
 
 
 def sigmas_of_predictions(
