@@ -26,6 +26,7 @@ from slamcli.io.images.decoding import (
 from slamcli.io.images.light import StaticLight
 from slamcli.io.images.own import is_marked
 from slamcli.io.picture_files import Listed, listed, stamped
+from slamcli.io.sequences import sequence_of
 
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
@@ -107,12 +108,12 @@ def list_frames(
 ) -> list[FrameFile]:
     """Return the pictures of folders, files, videos and bags, naturally sorted within each folder.
 
-    A folder stands for the ``frames`` or ``rgb`` folder in it. What this program drew
-    is no frame of a folder.
+    A folder stands for the ``frames`` or ``rgb`` folder in it, and a text file for the pictures
+    that it lists: see `sequences`. What this program drew is no frame of a folder.
 
     Parameters
     ----------
-    sources : folders, picture files, videos or bags
+    sources : folders, picture files, lists of them, videos or bags
     frame_rate : float or None
         Frames per second, to give stamps to frames whose names carry none, and to those of a video
         in place of its own.
@@ -135,6 +136,10 @@ def list_frames(
             # A frame rate takes their place.
             own = frame_rate is None
             found += [Listed(source, part, part.stamp if own else None) for part in parts]
+        elif (sequence := sequence_of(source)) is not None:
+            own = frame_rate is None and all(one.stamp is not None for one in sequence)
+            bare = [Listed(one.path) for one in sequence]
+            found += sequence if own else stamped(bare, frame_rate, ordered=True)
         elif source.is_dir():
             pictures = [one for path in _pictures_in(source) for one in listed(path)]
             found += stamped(pictures, frame_rate, ordered=False)

@@ -1,4 +1,6 @@
-"""Learned features and matching (ALIKED, DISK, LightGlue): the user's ONNX files, run by OpenCV.
+"""Learned features and matching: networks from files, run by OpenCV.
+
+ALIKED, DISK and LightGlue come as the user's ONNX files, XFeat as the weights of a Python package.
 
 ALIKED: Zhao et al., IEEE Transactions on Instrumentation and Measurement 72, 2023. DISK:
 Tyszkiewicz et al., NeurIPS 2020. LightGlue: Lindenberger et al., ICCV 2023.
@@ -17,6 +19,8 @@ from slamcli.core.arrays import Float32Array, Float64Array, Int32Array, UInt8Arr
 from slamcli.core.config import FeatureMethod
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.networks import MatchNetwork, NetworkPoints, PointNetwork
+from slamcli.io import xfeat
+from slamcli.io.torch_weights import installed_weights
 
 # The input sizes of the published files, and OpenCV's own defaults.
 _ALIKED_SIZE = (640, 640)
@@ -30,14 +34,14 @@ _MIN_CONFIDENCE = 0.1
 def load_point_network(
     method: FeatureMethod, path: Path, size: tuple[int, int] | None
 ) -> PointNetwork:
-    """Load ALIKED or DISK and run it once, to check it.
+    """Load ALIKED, DISK or XFeat and run it once, to check it.
 
     Parameters
     ----------
-    method : {"aliked", "disk"}
+    method : {"aliked", "disk", "xfeat"}
     path : Path
         An ONNX file with the input ``image`` (1, 3, h, w) and the outputs ``keypoints``,
-        ``descriptors`` and ``scores``.
+        ``descriptors`` and ``scores``; of XFeat the weights: see `xfeat.XFeat`.
     size : (int, int) or None
         Width and height of its input; None: that of the published files.
 
@@ -47,7 +51,7 @@ def load_point_network(
         When the file is missing, no network, or another one.
     """
     _check_file(path)
-    network = _aliked(path, size) if method == "aliked" else _disk(path, size)
+    network = _MAKERS[method](path, size)
     # A network that does not fit is reported once here, not as the reason of every frame.
     width, height = network.size
     noise = np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8)
@@ -58,6 +62,11 @@ def load_point_network(
             f"{path} does not work as {method.upper()} on {width}x{height} pixels: {error}"
         ) from error
     return network
+
+
+def default_weights(method: FeatureMethod) -> Path | None:
+    """Return the weights of a method's installed package, if there is one."""
+    return installed_weights(xfeat.PACKAGE, xfeat.MEMBER) if method == "xfeat" else None
 
 
 def load_match_network(path: Path) -> MatchNetwork:
@@ -125,6 +134,17 @@ def _disk(path: Path, size: tuple[int, int] | None) -> PointNetwork:
     except cv2.error as error:
         raise InputError(_unreadable(path, error)) from error
     return _Points(_disk, path, detector, size, np.ones(2))
+
+
+def _xfeat(path: Path, size: tuple[int, int] | None) -> PointNetwork:
+    return xfeat.XFeat(path, size or xfeat.DEFAULT_SIZE)
+
+
+_MAKERS: dict[str, Callable[[Path, tuple[int, int] | None], PointNetwork]] = {
+    "aliked": _aliked,
+    "disk": _disk,
+    "xfeat": _xfeat,
+}
 
 
 class _Points:

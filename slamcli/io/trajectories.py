@@ -16,8 +16,9 @@ from slamcli.core.geometry import Pose2
 from slamcli.core.trajectory import Trajectory
 from slamcli.io.csv_table import HEADINGS, Table, parse_table
 from slamcli.io.files import read_text, write_text
+from slamcli.io.sequences import has_listed_poses, listed_poses
 
-_TRUTH_OF_FOLDER = "groundtruth.txt"
+_TRUTH_OF_FOLDER = "groundtruth"
 _TUM_FIELDS, _KITTI_FIELDS = 8, 12
 _X = ("x", "px", "tx", "pos_x", "position_x", "position.x", "pose.pose.position.x")
 _Y = ("y", "py", "ty", "pos_y", "position_y", "position.y", "pose.pose.position.y")
@@ -51,8 +52,10 @@ def read_trajectory(path: Path) -> Trajectory:
     - TUM: eight numbers a line, stamp, x, y, z, and a quaternion x, y, z, w.
     - KITTI: twelve numbers a line, the upper three rows of a pose's matrix.
 
-    A folder stands for the ground truth that the sequences of TUM's benchmarks have in it. In TUM
-    and KITTI files z must point up from the floor.
+    - HD Ground: a picture's path and nine numbers a line: see `sequences`.
+
+    A folder stands for the ground truth that the sequences of TUM's benchmarks, and those like
+    them, have in it. In TUM and KITTI files z must point up from the floor.
 
     Raises
     ------
@@ -60,7 +63,7 @@ def read_trajectory(path: Path) -> Trajectory:
         One line that names the file, and the line of it where there is one.
     """
     if path.is_dir():
-        path = path / _TRUTH_OF_FOLDER
+        path = _truth_of_folder(path)
     text = read_text(path, "poses").removeprefix("\ufeff")
     lines = [
         (number, line)
@@ -71,6 +74,8 @@ def read_trajectory(path: Path) -> Trajectory:
         raise InputError(f"{path} is empty; poses are needed")
     first = lines[0][1].replace(",", " ").split()
     if not _is_number(first[0]):
+        if has_listed_poses(lines[0][1]):
+            return listed_poses(path, lines)
         return _from_table(parse_table(path, text))
     if len(first) not in {_TUM_FIELDS, _KITTI_FIELDS}:
         raise InputError(
@@ -81,6 +86,15 @@ def read_trajectory(path: Path) -> Trajectory:
     if len(first) == _TUM_FIELDS:
         return _plain(_poses_of_quaternions(path, numbers[:, 1:], lines), numbers[:, 0])
     return _plain(_poses_of_matrices(path, numbers.reshape(-1, 3, 4), lines), None)
+
+
+def _truth_of_folder(folder: Path) -> Path:
+    """Return the file of true poses in a folder; raises InputError where there is not one."""
+    found = sorted(folder.glob(f"{_TRUTH_OF_FOLDER}*.txt"))
+    if len(found) == 1:
+        return found[0]
+    lacking = "no" if not found else "more than one"
+    raise InputError(f"{folder} has {lacking} file {_TRUTH_OF_FOLDER}*.txt; give a file of poses")
 
 
 def read_path(path: Path) -> list[Pose2]:

