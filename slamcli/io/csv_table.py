@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from fractions import Fraction
@@ -20,16 +21,24 @@ from slamcli.core.errors import InputError
 # Endings of the name of a column of angles in degrees.
 _DEGREES = ("_degrees", "_deg")
 HEADINGS = ("heading", "theta", "yaw")
+_ROSTOPIC_TIME = "%time"
 # As loggers call them: rostopic, PlotJuggler, phones' sensor loggers, autopilots.
 STAMPS = (
     *("stamp", "header.stamp", "timestamp", "time", "t", "seconds", "unix_time", "epoch"),
     *("datetime", "date_time", "utc", "utc_time", "time_utc", "gps_time", "seconds_elapsed"),
-    *("elapsed", "%time"),
+    *("elapsed", _ROSTOPIC_TIME, "__time"),
+)
+# A time in two columns: whole seconds, and nanoseconds.
+_WHOLE_SECONDS = ("header.stamp.sec", "header.stamp.secs", "stamp.sec", "stamp.secs", "sec", "secs")
+_NANOSECONDS = (
+    *("header.stamp.nanosec", "header.stamp.nsecs", "header.stamp.nsec"),
+    *("stamp.nanosec", "stamp.nsecs", "stamp.nsec", "nanosec", "nsecs", "nsec"),
 )
 # What separates the fields; where it is no comma, a comma may be the decimal point.
 _DELIMITERS = ",;\t"
 # Units in brackets in the name of a column, as endings of it; metres, seconds, radians need none.
 _UNITS = {"deg": "_deg", "degrees": "_deg", "°": "_deg", "µs": "_us"}
+_METRES = {"": 1.0, "_m": 1.0, "_metres": 1.0, "_meters": 1.0, "_cm": 0.01, "_mm": 0.001}
 _PLAIN_UNITS = frozenset({"m", "s", "sec", "rad"})
 _UNIT = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 _SECONDS = {"": None, "_s": 1, "_sec": 1, "_ms": 10**3, "_us": 10**6, "_ns": 10**9}
@@ -68,17 +77,33 @@ class Table:
 
     def has(self, names: tuple[str, ...]) -> bool:
         """Return whether one of these names heads a column."""
-        return any(name in self.header for name in names)
+        return self._column(names) is not None
 
     def words(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """Return a column's text; raises InputError when none of its names is in the header."""
-        for name in names:
-            if name in self.header:
-                column = self.header.index(name)
-                return tuple(row[column].strip() for row in self.rows)
-        raise InputError(
-            f"{self.path} has no column {names[0]}; its header is {', '.join(self.header)}"
-        )
+        column = self._column(names)
+        if column is None:
+            raise InputError(
+                f"{self.path} has no column {names[0]}; its header is {', '.join(self.header)}"
+            )
+        return tuple(row[column].strip() for row in self.rows)
+
+    def _column(self, names: tuple[str, ...]) -> int | None:
+        """Return which column has one of these names, alone or after that of its topic.
+
+        Raises
+        ------
+        InputError
+            When several topics have such a column.
+        """
+        column = next((self.header.index(name) for name in names if name in self.header), None)
+        if column is not None:
+            return column
+        endings = tuple(f".{name}" for name in names if "." in name)
+        found = [one for one in self.header if one.endswith(endings)] if endings else []
+        if len(found) > 1:
+            raise InputError(f"{self.path} has several columns {names[0]}: {', '.join(found)}")
+        return self.header.index(found[0]) if found else None
 
     def numbers(
         self, names: tuple[str, ...], limits: Bounds, *, blank: bool = False
@@ -105,6 +130,22 @@ class Table:
                 )
         return values
 
+    def lengths(
+        self, names: tuple[str, ...], limits: Bounds, *, blank: bool = False
+    ) -> Float64Array:
+        """Return a column of lengths as (N,) float64 metres; `name`_mm and `name`_cm are converted.
+
+        Raises
+        ------
+        InputError
+            As `numbers`.
+        """
+        units = {tuple(name + ending for name in names): one for ending, one in _METRES.items()}
+        found = next((named for named in units if self.has(named)), names)
+        metres = units.get(found, 1.0)
+        values = self.numbers(found, limits.scaled(1.0 / metres), blank=blank)
+        return values if metres == 1.0 else metres * values
+
     def stamps(self, limits: Bounds, *, blank: bool = False) -> Float64Array | None:
         """Return the stamps as (N,) float64 seconds; None without a column of them.
 
@@ -113,9 +154,9 @@ class Table:
         unless they say otherwise.
         """
         names = {name + ending: unit for ending, unit in _SECONDS.items() for name in STAMPS}
-        found = next((name for name in names if name in self.header), None)
+        found = next((name for name in names if self.has((name,))), None)
         if found is None:
-            return None
+            return self._stamps_in_two(limits)
         seconds = [_seconds(self._plain(word)) for word in self.words((found,))]
         known = [abs(value) for value in seconds if value is not None]
         unit = names[found]
@@ -133,6 +174,13 @@ class Table:
                     f"{limits} or a time such as 2024-05-06T12:00:00Z is needed"
                 )
         return values
+
+    def _stamps_in_two(self, limits: Bounds) -> Float64Array | None:
+        """Return stamps that are whole seconds in one column and nanoseconds in another."""
+        if not self.has(_WHOLE_SECONDS) or not self.has(_NANOSECONDS):
+            return None
+        whole = self.numbers(_WHOLE_SECONDS, limits)
+        return whole + 1e-9 * self.numbers(_NANOSECONDS, Bounds(0.0, 1e9))
 
     def _plain(self, word: str) -> str:
         """Return a number with a decimal point."""
@@ -169,7 +217,7 @@ def parse_table(path: Path, text: str) -> Table:
             if not any(word.strip() for word in words):
                 continue
             if not header:
-                header = tuple(_column_name(word) for word in words)
+                header = _header(words)
                 continue
             if len(words) > len(header):
                 raise InputError(
@@ -183,9 +231,21 @@ def parse_table(path: Path, text: str) -> Table:
     return Table(path, header, tuple(rows), tuple(lines), delimiter != ",")
 
 
+def _header(words: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of columns.
+
+    ``rostopic echo -p``, known by its %time, writes times in nanoseconds, also those of a
+    simulation, which begin at 0.
+    """
+    names = tuple(_column_name(word) for word in words)
+    if _ROSTOPIC_TIME not in names:
+        return names
+    return tuple(f"{n}_ns" if n == _ROSTOPIC_TIME or n.endswith("stamp") else n for n in names)
+
+
 def _column_name(word: str) -> str:
     """Return a name in lower case, without ROS's prefix, and its unit as the names here have it."""
-    name = word.strip().lower().removeprefix("field.")
+    name = word.strip().lower().replace("/", ".").lstrip(".").removeprefix("field.")
     match = _UNIT.search(name)
     if match is not None and match.start() > 0:
         unit = match[1]

@@ -33,6 +33,8 @@ IMAGE_SUFFIXES = frozenset(
 )
 # Of drives that were simulated or extracted, and of TUM's sequences.
 _INNER_FOLDERS = ("frames", "rgb")
+# Of a camera's card, whose folders hold the pictures (DCF): 100MEDIA, 101MEDIA ...
+_CAMERA_ROOT = "DCIM"
 _DEEP_SUFFIXES = frozenset({".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff"})
 _MAX_SAMPLE_BITS = 16
 
@@ -108,8 +110,9 @@ def list_frames(
 ) -> list[FrameFile]:
     """Return the pictures of folders, files, videos and bags, naturally sorted within each folder.
 
-    A folder stands for the ``frames`` or ``rgb`` folder in it, and a text file for the pictures
-    that it lists: see `sequences`. What this program drew is no frame of a folder.
+    A folder stands for the ``frames`` or ``rgb`` folder in it, a camera's card for all folders in
+    its ``DCIM``, and a text file for the pictures that it lists: see `sequences`. What this program
+    drew is no frame of a folder.
 
     Parameters
     ----------
@@ -228,6 +231,11 @@ def _pictures_in(folder: Path) -> list[Path]:
     for inner in (folder / name for name in _INNER_FOLDERS):
         if inner.is_dir() and inner in entries:
             return _pictures_in(inner)
+    if folder / _CAMERA_ROOT in entries and (folder / _CAMERA_ROOT).is_dir():
+        return _pictures_in(folder / _CAMERA_ROOT)
+    if folder.name == _CAMERA_ROOT:
+        inside = sorted(filter(Path.is_dir, entries), key=lambda path: natural_key(path.name))
+        return [picture for one in inside for picture in _pictures_in(one)]
     suffixes = IMAGE_SUFFIXES | (HEIC_SUFFIXES if can_read_heic() else frozenset())
     pictures = [
         path

@@ -177,7 +177,7 @@ def read_gps(path: Path) -> list[GpsReading]:
     longitudes = table.numbers(_LONGITUDES, LONGITUDE_DEGREES)
     sigmas = np.full(len(table), GPS_SIGMA_METRES)
     if table.has(_GPS_SIGMAS):
-        sigmas = table.numbers(_GPS_SIGMAS, READING_SIGMA_METRES)
+        sigmas = table.lengths(_GPS_SIGMAS, READING_SIGMA_METRES)
     _refuse_backwards(path, stamps, table)
     readings = []
     columns = (latitudes, longitudes, sigmas)

@@ -20,8 +20,14 @@ from slamcli.io.sequences import has_listed_poses, listed_poses
 
 _TRUTH_OF_FOLDER = "groundtruth"
 _TUM_FIELDS, _KITTI_FIELDS = 8, 12
-_X = ("x", "px", "tx", "pos_x", "position_x", "position.x", "pose.pose.position.x")
-_Y = ("y", "py", "ty", "pos_y", "position_y", "position.y", "pose.pose.position.y")
+_X, _Y = (
+    (
+        *(axis, f"p{axis}", f"t{axis}", f"pos_{axis}", f"{axis}_pos", f"pose_{axis}"),
+        *(f"odom_{axis}", f"position_{axis}", f"position.{axis}", f"pose.{axis}"),
+        *(f"pose.position.{axis}", f"pose.pose.position.{axis}"),
+    )
+    for axis in "xy"
+)
 # Of a quaternion, each by the names of several loggers.
 _QUATERNION = tuple(
     (
@@ -29,6 +35,7 @@ _QUATERNION = tuple(
         f"q_{axis}",
         f"orientation_{axis}",
         f"orientation.{axis}",
+        f"pose.orientation.{axis}",
         f"pose.pose.orientation.{axis}",
     )
     for axis in "xyzw"
@@ -111,8 +118,8 @@ def _is_number(word: str) -> bool:
 
 
 def _from_table(table: Table) -> Trajectory:
-    x = table.numbers(_X, COORDINATE, blank=True)
-    y = table.numbers(_Y, COORDINATE, blank=True)
+    x = table.lengths(_X, COORDINATE, blank=True)
+    y = table.lengths(_Y, COORDINATE, blank=True)
     heading = _headings(table)
     placed = ~np.isnan(x)
     broken = placed & (np.isnan(y) | np.isnan(heading))

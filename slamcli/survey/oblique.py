@@ -227,7 +227,10 @@ def _residuals(motion: FloorMotion, values: Float64Array, width: int) -> Float64
         return residual
     floor_a, floor_b = (apply_homography(floor_from_image, points[below]) for points in seen)
     # An error of a pixel far away is one of much floor.
-    weights = np.minimum(depths[0][below], depths[1][below]) ** 4
+    with np.errstate(over="ignore"):
+        weights = np.minimum(depths[0][below], depths[1][below]) ** 4
+    if not np.isfinite(weights).all():
+        return residual
     moved = fit_rigid_2d(floor_a, floor_b, weights).apply(floor_b)
     residual[below] = apply_homography(image_from_floor, moved) - seen[0][below]
     return np.clip(np.nan_to_num(residual, nan=_BEHIND_PIXELS), -_BEHIND_PIXELS, _BEHIND_PIXELS)

@@ -48,6 +48,15 @@ def test_a_folder_of_tum_stands_for_its_colour_pictures_by_their_stamps(tmp_path
     assert [file.stamp for file in files] == [1305031102.175304, 1305031102.211214]
 
 
+def test_a_cameras_card_stands_for_all_its_pictures(tmp_path: Path) -> None:
+    for folder in ("100MEDIA", "101MEDIA", "99MEDIA"):
+        (tmp_path / "DCIM" / folder).mkdir(parents=True)
+        save(tmp_path / "DCIM" / folder / "DJI_0001.JPG")
+    for source in (tmp_path, tmp_path / "DCIM"):
+        folders = [file.path.parent.name for file in list_frames([source])]
+        assert folders == ["99MEDIA", "100MEDIA", "101MEDIA"]
+
+
 def test_a_folder_stands_for_its_frames_folder(tmp_path: Path) -> None:
     (tmp_path / "frames").mkdir()
     save(tmp_path / "frames" / "0.png")

@@ -74,6 +74,44 @@ def test_orientations_may_be_quaternions(tmp_path: Path) -> None:
     assert (one.pose.x, one.pose.y, one.pose.theta) == pytest.approx((1.5, -2.5, 2 * half))
 
 
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        # A simulation under ROS 1, whose clock begins at 0.
+        (
+            "%time,field.header.stamp,field.pose.pose.position.x,field.pose.pose.position.y,"
+            "field.pose.pose.orientation.x,field.pose.pose.orientation.y,"
+            "field.pose.pose.orientation.z,field.pose.pose.orientation.w",
+            "2250000000,2250000000,1.5,-2.5,0,0,0,1",
+        ),
+        # PlotJuggler.
+        (
+            "__time,/odom/pose/pose/position/x,/odom/pose/pose/position/y,"
+            "/odom/pose/pose/orientation/x,/odom/pose/pose/orientation/y,"
+            "/odom/pose/pose/orientation/z,/odom/pose/pose/orientation/w,/odom/twist/linear/x",
+            "2.25,1.5,-2.5,0,0,0,1,9",
+        ),
+        # Messages as tables.
+        ("header.stamp.sec,header.stamp.nanosec,pose.x,pose.y,yaw", "2,250000000,1.5,-2.5,0"),
+        (",timestamp,pose_x,pose_y,theta", "0,2.25,1.5,-2.5,0"),
+        ("t;x_mm;y_mm;yaw_deg", "2,25;1500,0;-2500,0;0"),
+        ("t,x [cm],y [cm],yaw [rad]", "2.25,150,-250,0"),
+        ("time,x_m,y_m,heading_degrees", "2.25,1.5,-2.5,0"),
+    ],
+)
+def test_odometry_is_read_as_loggers_write_it(tmp_path: Path, header: str, row: str) -> None:
+    (one,) = read_odometry(written(tmp_path, f"{header}\n{row}\n"))
+    assert one.stamp == 2.25
+    assert (one.pose.x, one.pose.y, one.pose.theta) == pytest.approx((1.5, -2.5, 0.0))
+
+
+def test_columns_of_several_topics_are_named(tmp_path: Path) -> None:
+    names = [f"/{topic}/pose/pose/position/{axis}" for topic in ("odom", "ekf") for axis in "xy"]
+    text = ",".join(["__time", *names, "yaw"]) + "\n1,2,3,4,5,6\n"
+    with pytest.raises(InputError, match=r"several columns x: odom\.pose\.pose\.position\.x, ekf"):
+        read_odometry(written(tmp_path, text))
+
+
 @pytest.mark.parametrize("word", ["yesterday", "1e400", "nan", "", "1e999999999", "2024-13-01"])
 def test_what_is_no_time_is_named_with_its_line(tmp_path: Path, word: str) -> None:
     with pytest.raises(InputError, match=r"line 3: stamp is .*2024-05-06T12:00:00Z is needed$"):

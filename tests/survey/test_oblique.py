@@ -12,6 +12,7 @@ from trajectories import read_rows
 
 from slamcli.core.camera.mounting import image_from_robot_homography
 from slamcli.core.geometry import Pose2, apply_homography
+from slamcli.survey import oblique
 from slamcli.survey.oblique import FloorMotion, estimate_camera
 
 SIZE = (640, 480)
@@ -43,6 +44,12 @@ def test_turns_determine_the_camera() -> None:
     assert math.degrees(camera.pitch_radians) == pytest.approx(38.0, abs=0.3)
     assert math.degrees(camera.roll_radians) == pytest.approx(1.5, abs=0.3)
     assert camera.median_pixels < 0.3
+
+
+def test_a_focal_length_beyond_numbers_is_no_camera() -> None:
+    (motion,) = motions([Pose2(0.1, 0.0, 0.2)])
+    off = oblique._residuals(motion, np.array([-200.0, 1.0, 0.0, 0.0]), 640)
+    assert np.abs(off).min() == oblique._BEHIND_PIXELS
 
 
 def test_a_straight_line_is_refused() -> None:

@@ -83,11 +83,12 @@ def bag_frames(
     """
     bag = Bag(path)
     topic = image_topic(bag, selection.topic)
-    counts, bits = Counts(), [8]
-    candidates = partial(_candidates, bag, topic, counts, bits, progress)
+    counts, bits, faults = Counts(), [8], list[str]()
+    candidates = partial(_candidates, bag, topic, counts, bits, faults, progress)
     found = [one.payload for one in choose(candidates(), selection, _step(bag, topic), counts)]
     if not found:
-        raise InputError(f"{path} has no frame that can be read in the part that was chosen")
+        why = f" ({faults[0]})" if faults else ""
+        raise InputError(f"{path} has no frame that can be read in the part that was chosen{why}")
     used = next(depth for depth in CAMERA_BITS if max(bits) <= depth)
     note = counts.note(f"{path.name}, {topic}", len(found))
     return [
@@ -122,9 +123,14 @@ def _step(bag: Bag, topic: str) -> float:
 
 
 def _candidates(
-    bag: Bag, topic: str, counts: Counts, bits: list[int], progress: Progress
+    bag: Bag,
+    topic: str,
+    counts: Counts,
+    bits: list[int],
+    faults: list[str],
+    progress: Progress,
 ) -> Iterator[Candidate[_Found]]:
-    """Yield the pictures of a topic that can be read; count all."""
+    """Yield the pictures of a topic that can be read; count all, and list the others' faults."""
     total = bag.topics(*_IMAGES)[topic]
     first: int | None = None
     for done, message in enumerate(bag.messages(topic), start=1):
@@ -132,7 +138,8 @@ def _candidates(
         first = message.stamp_ns if first is None else first
         try:
             found, luma, used = _picture(message)
-        except FrameError:
+        except FrameError as error:
+            faults.append(str(error))
             counts.all += 1
             counts.damaged += 1
             continue

@@ -23,7 +23,12 @@ _ENCODINGS: dict[str, tuple[int, int, int | None]] = {
     "8UC3": (3, 8, None),
     "rgb8": (3, 8, cv2.COLOR_RGB2BGR),
     "bgra8": (4, 8, cv2.COLOR_BGRA2BGR),
+    "8UC4": (4, 8, cv2.COLOR_BGRA2BGR),
     "rgba8": (4, 8, cv2.COLOR_RGBA2BGR),
+    "bgr16": (3, 16, None),
+    "rgb16": (3, 16, cv2.COLOR_RGB2BGR),
+    "bgra16": (4, 16, cv2.COLOR_BGRA2BGR),
+    "rgba16": (4, 16, cv2.COLOR_RGBA2BGR),
     "bayer_rggb8": (1, 8, cv2.COLOR_BayerRGGB2BGR),
     "bayer_bggr8": (1, 8, cv2.COLOR_BayerBGGR2BGR),
     "bayer_gbrg8": (1, 8, cv2.COLOR_BayerGBRG2BGR),
@@ -90,7 +95,8 @@ def _samples(message: Any) -> UInt8Array | UInt16Array:
         raise FrameError("damaged: a ROS image with less data than its size needs")
     data = np.pad(data[: step * height], (0, max(0, step * height - len(data))))
     rows = data.reshape(height, step)[:, :row]
-    if bits == 16:
-        order = ">" if message.is_bigendian else "<"
-        return np.ascontiguousarray(rows).view(f"{order}u2").astype(np.uint16)
-    return rows if channels == 1 else rows.reshape(height, width, channels)
+    if bits == 8:
+        return rows if channels == 1 else rows.reshape(height, width, channels)
+    order = ">" if message.is_bigendian else "<"
+    wide = np.ascontiguousarray(rows).view(f"{order}u2").astype(np.uint16)
+    return wide if channels == 1 else wide.reshape(height, width, channels)

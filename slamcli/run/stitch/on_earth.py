@@ -25,6 +25,8 @@ from slamcli.survey.ground import Ground, below_camera, fit_ground
 # A photo that looks farther off straight down shows the ground in perspective, and what stands on
 # it. [guarded by tests/run/stitch/test_photos.py]
 _MAX_OFF_NADIR_DEGREES = 20.0
+# Photos whose notes are read to find whether most have a place: a receiver needs a while at first.
+_ASKED = 9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,9 +38,10 @@ class _Scale:
 
 
 def geotagged(files: Sequence[FrameFile]) -> bool:
-    """Return whether photos say where they were taken: then they are those of a survey."""
-    some = {0, len(files) // 2, len(files) - 1}
-    return all(photo_info_of(files[number].path).place_degrees is not None for number in some)
+    """Return whether most photos note where they were taken: then they are those of a survey."""
+    some = sorted({round(share * (len(files) - 1)) for share in np.linspace(0.0, 1.0, _ASKED)})
+    placed = [photo_info_of(files[number].path).place_degrees is not None for number in some]
+    return 2 * sum(placed) > len(placed)
 
 
 def on_earth(located: LocatedDrive) -> LocatedDrive:

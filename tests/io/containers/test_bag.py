@@ -71,6 +71,11 @@ def test_every_encoding_is_read(tmp_path: Path) -> None:
     pixels = {
         "rgb8": (colour[..., ::-1], 0, colour),
         "bgra8": (np.dstack([colour, gray]), 0, colour),
+        "8UC4": (np.dstack([colour, gray]), 0, colour),
+        "rgb16": (colour[..., ::-1].astype("<u2") << 8, 0, colour),
+        "bgr16": (colour.astype("<u2") << 8, 0, colour),
+        "rgba16": (np.dstack([colour[..., ::-1], gray]).astype("<u2") << 8, 0, colour),
+        "bgra16": (np.dstack([colour, gray]).astype("<u2") << 8, 0, colour),
         "mono8": (gray, 0, np.dstack([gray] * 3)),
         "mono16": (gray.astype("<u2") << 4, 0, np.dstack([gray] * 3)),
         "bayer_rggb8": (mosaic.astype(np.uint8), 12, colour),
@@ -82,6 +87,13 @@ def test_every_encoding_is_read(tmp_path: Path) -> None:
             bag.image("/camera/image", 0.0, np.ascontiguousarray(stored), encoding)
         image = read_frame(list_frames([path])[0]).image[4:-4, 4:-4].astype(int)
         assert np.abs(image - expected[4:-4, 4:-4]).max() <= tolerance, encoding
+
+
+def test_an_encoding_that_is_not_read_is_named(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "b.bag") as bag:
+        bag.image("/camera/image", 0.0, np.zeros((32, 48), np.float64), "64FC1")
+    with pytest.raises(InputError, match=r"no frame .*\(a ROS image of encoding '64FC1' is not"):
+        list_frames([tmp_path / "b.bag"])
 
 
 def test_one_range_of_16_bits_is_used_for_all_frames(tmp_path: Path) -> None:

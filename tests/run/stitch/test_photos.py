@@ -19,6 +19,8 @@ from trajectories import read_rows
 
 from slamcli.core.camera.calibration import Rocking
 from slamcli.core.geometry import Pose2
+from slamcli.io.frames import list_frames
+from slamcli.run.stitch import on_earth
 from slamcli.stages.geodesy import LocalPlane
 from slamcli.survey.ground import below_camera, fit_ground
 
@@ -77,28 +79,28 @@ def test_a_folder_of_a_drones_photos_is_a_map_on_earth(
     # The simulated gimbal's compass is 3 degrees off.
     assert run["survey"]["gimbal_yaw_off_degrees"] == pytest.approx(3.0, abs=1.5)
     assert "1 of 6 photos look more than 20° off straight down" in result.output
-    on_earth = run["georeference"]
-    assert on_earth["gps_outliers"] == 1
+    reference = run["georeference"]
+    assert reference["gps_outliers"] == 1
     rows = read_rows(tmp_path / "map" / "poses.csv")
     ours = np.array([[float(row["x"]), float(row["y"])] for row in rows])
-    heading = math.radians(on_earth["x_axis_degrees_from_east"])
-    datum = on_earth["datum_latitude_degrees"], on_earth["datum_longitude_degrees"]
-    place = Pose2(on_earth["origin_east_metres"], on_earth["origin_north_metres"], heading)
+    heading = math.radians(reference["x_axis_degrees_from_east"])
+    datum = reference["datum_latitude_degrees"], reference["datum_longitude_degrees"]
+    place = Pose2(reference["origin_east_metres"], reference["origin_north_metres"], heading)
     found = LocalPlane(DATUM).east_north
     theirs = [found(*one) for one in LocalPlane(datum).geodetic(place.apply(ours))]
     errors = np.linalg.norm(np.array(theirs) - earth(states[:, :2]), axis=1)
     # The sigma of the GPS is 0.1 m, and five places give four numbers.
     assert errors.max() < 0.3
     # Of the map; the meridians of the grid converge there by a third of a degree.
-    assert on_earth["x_axis_degrees_from_east"] == pytest.approx(0.0, abs=1e-9)
-    assert on_earth["crs_x_axis_degrees_from_east"] == pytest.approx(-0.37, abs=0.05)
+    assert reference["x_axis_degrees_from_east"] == pytest.approx(0.0, abs=1e-9)
+    assert reference["crs_x_axis_degrees_from_east"] == pytest.approx(-0.37, abs=0.05)
     with rasterio.open(tmp_path / "map" / "mosaic.tif") as raster:
         assert raster.crs.to_epsg() == 32632
         assert (raster.transform.b, raster.transform.d) == (0.0, 0.0)
         assert raster.overviews(1)
         utm = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32632", always_xy=True)
-        turn = math.radians(on_earth["crs_x_axis_degrees_from_east"])
-        origin = on_earth["crs_origin_east_metres"], on_earth["crs_origin_north_metres"]
+        turn = math.radians(reference["crs_x_axis_degrees_from_east"])
+        origin = reference["crs_origin_east_metres"], reference["crs_origin_north_metres"]
         ours_in_grid = Pose2(*origin, turn).apply(ours)
         for number, state in enumerate(states):
             latitude, longitude = LocalPlane(DATUM).geodetic([earth(state[:2])])[0]
@@ -120,6 +122,19 @@ def test_a_folder_of_a_drones_photos_is_a_map_on_earth(
     assert again.exit_code == 0, again.output
     pictures = [(tmp_path / name / "mosaic.png").read_bytes() for name in ("map", "again")]
     assert pictures[0] == pictures[1]
+
+
+def test_photos_of_which_a_few_have_no_place_are_a_survey(
+    flight: tuple[Path, np.ndarray], tmp_path: Path
+) -> None:
+    folder, _ = flight
+    photos = sorted(folder.iterdir())
+    cv2.imwrite(str(tmp_path / "first.jpg"), cv2.imread(str(photos[0])))
+    cv2.imwrite(str(tmp_path / "last.jpg"), cv2.imread(str(photos[-1])))
+    assert on_earth.geotagged(list_frames([tmp_path / "first.jpg", *photos[1:4]]))
+    assert on_earth.geotagged(list_frames([*photos[:4], tmp_path / "last.jpg"]))
+    bare = [tmp_path / "first.jpg", tmp_path / "last.jpg"]
+    assert not on_earth.geotagged(list_frames([*bare, photos[1]]))
 
 
 def test_heights_alone_give_the_scale(flight: tuple[Path, np.ndarray], tmp_path: Path) -> None:
