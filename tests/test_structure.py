@@ -33,7 +33,7 @@ ONE_ROOM = {
     "imageio": ("io/containers/pages",),
     "pillow_heif": ("io/containers/heic",),
     "rerun": ("io/rerun_recording",),
-    "rosbags": ("io/containers/bag",),
+    "rosbags": ("io/containers/bag", "io/containers/bag_compression"),
     "dask": ("run/session/cluster",),
     "distributed": ("run/session/cluster",),
     "gtsam": (),

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import click
 
-from slamcli.cli.configuration import config_option
-from slamcli.cli.messages import message_options
+from slamcli.cli.configuration import config_option, configuration_of
+from slamcli.cli.messages import message_options, messages
 from slamcli.cli.options.fields import stacked
 from slamcli.cli.options.sections import SECTIONS, is_expert, section_of
 from slamcli.cli.options.values import Switch
+from slamcli.core.errors import OutputError
 
 # With more lines --help has its short form.
 _MAX_LINES = 40
@@ -20,6 +22,8 @@ _MAX_LINES = 40
 _NAMES_WIDTH = 27
 _INDENT = 2
 _HELP_ALL = "help_all"
+# Parameters that name what is written.
+_OUTPUTS = {"output", "plot", "table", "rerun", "record"}
 
 
 class SlamCommand(click.Command):
@@ -28,6 +32,11 @@ class SlamCommand(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments; flags that may have a value are given one first."""
         return super().parse_args(ctx, self.spelled_out(args))
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; its log and its configuration are no other file of it."""
+        _check_own_files(ctx)
+        return super().invoke(ctx)
 
     def spelled_out(self, arguments: list[str]) -> list[str]:
         """Return the arguments, with the value of each flag that may go without one."""
@@ -74,6 +83,35 @@ def command() -> Callable[[Any], click.Command]:
         return click.command(cls=SlamCommand, context_settings=settings)(function)
 
     return decorate
+
+
+def _check_own_files(ctx: click.Context) -> None:
+    """Refuse a log that is an input or output, and an output that is the file of --config.
+
+    Raises
+    ------
+    OutputError
+    """
+    given = {name: _paths_of(value) for name, value in ctx.params.items()}
+    log = messages().log_path
+    if log is not None and any(_is_same(log, path) for paths in given.values() for path in paths):
+        raise OutputError(f"cannot write the log {log}: the command uses it; name another one")
+    read = configuration_of(ctx)
+    for name in _OUTPUTS & given.keys():
+        for path in given[name]:
+            if read is not None and _is_same(read, path):
+                raise OutputError(
+                    f"cannot write {path}: it is an input of this command; name another --output"
+                )
+
+
+def _paths_of(value: object) -> list[Path]:
+    values = value if isinstance(value, (list, tuple)) else [value]
+    return [one for one in values if isinstance(one, Path)]
+
+
+def _is_same(a: Path, b: Path) -> bool:
+    return a.resolve() == b.resolve() or (a.exists() and b.exists() and a.samefile(b))
 
 
 def british(name: str) -> str:

@@ -66,10 +66,17 @@ def _use(context: click.Context, _option: click.Parameter, path: Path | None) ->
         tables = read_toml(path, "configuration")
         read = _of_run if "options" in tables and "version" in tables else _by_hand
         known = {p.name: p for p in context.command.params if p.name is not None}
+        context.meta[__name__] = path
         values = read(path, tables, known, context.command.name or "")
         context.default_map = {
             name: _text(path, value, known[name]) for name, value in values.items()
         }
+
+
+def configuration_of(context: click.Context) -> Path | None:
+    """Return the file of --config; None without one."""
+    path: Path | None = context.meta.get(__name__)
+    return path
 
 
 config_option = section(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import re
@@ -16,10 +17,14 @@ import click
 
 from slamcli.cli.options.sections import OUTPUT, expert, section
 from slamcli.cli.options.values import PATH
+from slamcli.cli.streams import LenientStream
 from slamcli.core.errors import OutputError
 from slamcli.core.names import printable, readable
 
 _KEY = __name__
+# Of a file that may be appended to: nothing, or the line with the command.
+_LOG_START = re.compile(rb"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d slam\b|$)")
+_MAX_START_BYTES = 30
 
 
 @dataclass(slots=True)
@@ -34,11 +39,13 @@ class Messages:
         Also what is for experts: log records of the library, with tracebacks.
     log : text file or None
         Takes all messages, each with its time.
+    log_path : Path or None
     """
 
     quiet: bool = False
     verbose: bool = False
     log: TextIO | None = field(default=None, repr=False)
+    log_path: Path | None = None
 
     def show(self, line: str, *, error: bool = False) -> None:
         """Print a line that is no result."""
@@ -82,26 +89,40 @@ def choose(context: click.Context, option: click.Parameter, value: Any) -> None:
         found.verbose = True
         _log_library(context, logging.StreamHandler(), logging.DEBUG)
     else:
-        found.log = _open_log(value)
-        context.call_on_close(found.log.close)
+        found.log, raw = _open_log(value)
+        found.log_path = value
+        # An error is shown after the command's own context has ended.
+        context.find_root().call_on_close(partial(_close_log, found, raw))
         found.record(" ".join(["slam", *map(readable, sys.argv[1:])]))
         _log_library(context, logging.StreamHandler(found.log), logging.INFO)
 
 
-def _open_log(path: Path) -> TextIO:
-    """Open a log to append to it. Raises OutputError."""
+def _open_log(path: Path) -> tuple[TextIO, LenientStream]:
+    """Open a log to append to it, which cannot stop the work. Raises OutputError."""
     try:
-        if path.exists() and (not path.is_file() or not _is_log(path)):
+        if path.is_symlink() or (path.exists() and not (path.is_file() and _is_log(path))):
             raise OutputError(f"cannot write the log {path}: there is something else; name a log")
-        return path.open("a", encoding="utf-8", errors="backslashreplace")
+        raw = LenientStream(io.FileIO(path, "a"), owned=True)
     except OSError as error:
         raise OutputError(f"cannot write the log {path}: {error.strerror}") from error
+    text = io.TextIOWrapper(io.BufferedWriter(raw), "utf-8", errors="backslashreplace")
+    return text, raw
+
+
+def _close_log(found: Messages, raw: LenientStream) -> None:
+    """End the log, and say on the standard error when a part of it is missing."""
+    log, found.log = found.log, None
+    if log is not None:
+        log.close()
+    if raw.fault is not None:
+        reason = raw.fault.strerror or raw.fault
+        found.show(f"the log {found.log_path} is not complete: {reason}", error=True)
 
 
 def _is_log(path: Path) -> bool:
-    """Return whether a file is empty or begins with a date, as logs do."""
+    """Return whether a file is empty or begins as a log does."""
     with path.open("rb") as file:
-        return re.fullmatch(rb"(\d{4}-\d\d-\d\d)?", file.read(10)) is not None
+        return _LOG_START.match(file.read(_MAX_START_BYTES)) is not None
 
 
 def _log_library(context: click.Context, handler: logging.Handler, level: int) -> None:
@@ -110,7 +131,7 @@ def _log_library(context: click.Context, handler: logging.Handler, level: int) -
     logger = logging.getLogger("slamcli")
     logger.addHandler(handler)
     handler.setLevel(level)
-    context.call_on_close(lambda: logger.removeHandler(handler))
+    context.find_root().call_on_close(lambda: logger.removeHandler(handler))
 
 
 _option = partial(click.option, is_eager=True, expose_value=False, callback=choose)

@@ -16,14 +16,20 @@ _ENDED = {errno.EPIPE, errno.EBADF, errno.EIO}
 class LenientStream(io.RawIOBase):
     """A raw stream whose failed writes are noted, not raised.
 
+    Parameters
+    ----------
+    raw : raw stream
+    owned : bool
+        It is closed with this one.
+
     Attributes
     ----------
     fault : OSError or None
         The first failure that has lost something which somebody waits for.
     """
 
-    def __init__(self, raw: io.RawIOBase) -> None:
-        self._raw = raw
+    def __init__(self, raw: io.RawIOBase, *, owned: bool = False) -> None:
+        self._raw, self._owned = raw, owned
         self.fault: OSError | None = None
 
     def write(self, data: Any) -> int | None:
@@ -34,6 +40,12 @@ class LenientStream(io.RawIOBase):
             if error.errno not in _ENDED and self.fault is None:
                 self.fault = error
             return len(data)
+
+    def close(self) -> None:
+        """End it."""
+        super().close()
+        if self._owned:
+            self._raw.close()
 
     def writable(self) -> bool:
         """Return True."""

@@ -20,8 +20,11 @@ from slamcli.core.config import FeatureMethod
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.networks import MatchNetwork, NetworkPoints, PointNetwork
 from slamcli.io import xfeat
+from slamcli.io.files import fault_of_file
 from slamcli.io.torch_weights import installed_weights
 
+# The format, a protocol buffer, has no larger files.
+_MAX_BYTES = 2**31
 # The input sizes of the published files, and OpenCV's own defaults.
 _ALIKED_SIZE = (640, 640)
 _DISK_SIZE = (1024, 1024)
@@ -93,10 +96,13 @@ def load_match_network(path: Path) -> MatchNetwork:
 def _check_file(path: Path) -> None:
     """Raise InputError for a file that cannot be opened: OpenCV does not give the reason."""
     try:
-        with path.open("rb"):
-            pass
+        fault = fault_of_file(path, _MAX_BYTES)
+        if not fault:
+            with path.open("rb"):
+                return
     except OSError as error:
-        raise InputError(f"cannot read the network {path}: {error.strerror or error}") from error
+        fault = error.strerror or str(error)
+    raise InputError(f"cannot read the network {path}: {fault}")
 
 
 def _unreadable(path: Path, error: cv2.error) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from slamcli.core.errors import OutputError
@@ -55,6 +55,8 @@ def output_folder(
 def locked_folder(folder: Path) -> Iterator[None]:
     """Make an output folder when it is missing, and keep other runs out of it meanwhile.
 
+    One that was made in vain is deleted.
+
     Raises
     ------
     OutputError
@@ -63,6 +65,7 @@ def locked_folder(folder: Path) -> Iterator[None]:
     _refuse_special(folder)
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"cannot write into {folder}: it is a file; name a folder")
+    is_new = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = lock_on(folder)
@@ -73,6 +76,10 @@ def locked_folder(folder: Path) -> Iterator[None]:
         yield
     finally:
         lock.__exit__(None, None, None)
+        if is_new:
+            # Fails where there is something in it.
+            with suppress(OSError):
+                folder.rmdir()
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,6 +13,9 @@ from typing import Any
 from slamcli.core.errors import InputError
 from slamcli.core.names import readable
 from slamcli.io.files import read_text, write_text
+
+# A key of many parts, of which tomllib takes time by their square.
+_DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){100}")
 
 Scalar = str | int | float | bool | tuple[str, ...] | tuple[float, ...] | None
 
@@ -32,8 +36,11 @@ def flatten(options: object, prefix: str = "") -> list[tuple[str, str, Scalar]]:
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
     """Return the tables of a file; raises InputError that names it and says what it is."""
+    text = read_text(path, what)
+    if _DEEP_KEY.search(text):
+        raise InputError(f"{path} is no TOML file: it is nested too deeply")
     try:
-        return tomllib.loads(read_text(path, what))
+        return tomllib.loads(text)
     except ValueError as error:
         raise InputError(f"{path} is no TOML file: {error}") from error
     except RecursionError as error:

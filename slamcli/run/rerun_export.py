@@ -35,9 +35,10 @@ def export_rerun(run: Path, output: Path, *, overwrite: bool) -> list[str]:
     InputError, MapError, OutputError
     """
     check_rerun()
-    refuse_existing(output, inputs=[map_path(run)], overwrite=overwrite)
     floor_map = load_map(run, for_locating=False)
     files, note = _files(floor_map, run)
+    read = [map_path(run), *_mosaics(run), *(file.path for file in files)]
+    refuse_existing(output, inputs=read, overwrite=overwrite)
 
     def picture_of(estimate: PoseEstimate) -> bytes | None:
         try:
@@ -60,10 +61,14 @@ def _files(floor_map: FloorMap, run: Path) -> tuple[list[FrameFile], str]:
         return [], str(error)
 
 
+def _mosaics(run: Path) -> list[Path]:
+    return sorted((run if run.is_dir() else run.parent).glob("mosaic*.png"))
+
+
 def _floors(run: Path) -> list[FloorTexture]:
     """Return the mosaics of a run, of at most some size."""
     found = []
-    for path in sorted((run if run.is_dir() else run.parent).glob("mosaic*.png")):
+    for path in _mosaics(run):
         numbers = read_text(path.with_suffix(".pgw"), "world file").split()
         a, d, b, e, c, f = map(float, numbers)
         image = read_image(path)

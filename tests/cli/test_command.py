@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import re
 import sys
 import tomllib
@@ -195,6 +197,63 @@ def test_messages_are_logged_with_their_times(calls: Calls, tmp_path: Path) -> N
     assert refused.exit_code == 1
     assert "there is something else" in refused.output
     assert other.read_text() == "mine"
+
+
+def test_an_error_is_logged(tmp_path: Path) -> None:
+    log = tmp_path / "slam.log"
+    result = run(
+        "evaluate", str(tmp_path / "a.csv"), str(tmp_path / "b.csv"), "--log-file", str(log)
+    )
+    assert result.exit_code == 1
+    (line,) = result.output.splitlines()
+    assert line.startswith("Error: ")
+    assert log.read_text().splitlines()[-1].endswith(line)
+
+
+@pytest.mark.parametrize("text", ["2026-01-02,0,0,0\n", "2026-01-02 03:04:05,0,0,0\n"])
+def test_a_table_that_begins_with_a_date_is_no_log(text: str, calls: Calls, tmp_path: Path) -> None:
+    table = tmp_path / "odometry.csv"
+    table.write_text(text)
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    for path in (table, tmp_path / "link"):
+        refused = run("warp", "frames", "--log-file", str(path))
+        assert "there is something else" in refused.output
+    assert table.read_text() == text
+    assert not (tmp_path / "nowhere").exists()
+    assert not calls
+
+
+def test_a_log_or_a_configuration_is_no_output(calls: Calls, tmp_path: Path) -> None:
+    file = tmp_path / "a.toml"
+    for words in (
+        ["warp", "frames", "-o", str(file), "--log-file", str(file)],
+        ["stitch", "frames", "--odometry", str(file), "--log-file", str(file)],
+    ):
+        refused = run(*words)
+        assert refused.exit_code == 1
+        assert "the command uses it; name another one" in refused.output
+    file.write_text("ratio = 0.5\n")
+    linked = tmp_path / "b.png"
+    linked.hardlink_to(file)
+    for path in (file, linked):
+        refused = run("match", "a.png", "b.png", "-o", str(path), "--config", str(file))
+        assert refused.exit_code == 1
+        assert "is an input of this command" in refused.output
+    assert not calls
+
+
+def test_a_log_on_a_full_disk_does_not_stop_the_work(
+    calls: Calls, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Full(io.FileIO):
+        def write(self, _: object) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("slamcli.cli.messages.io.FileIO", Full)
+    result = run("warp", "frames", "--log-file", str(tmp_path / "slam.log"))
+    assert result.exit_code == 0, result.output
+    assert calls
+    assert "slam.log is not complete: No space left on device" in result.output
 
 
 def test_progress_in_a_log_has_times_a_rate_and_the_time_left(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,8 @@ from slamcli.core.names import printable
 from slamcli.io.array_file import read_arrays
 from slamcli.io.frames import list_frames
 from slamcli.io.map_file import load_map
+from slamcli.io.networks import load_match_network
+from slamcli.io.toml import read_toml
 from slamcli.run.inputs import open_inputs
 
 TERABYTE = 2**40
@@ -125,3 +128,21 @@ def test_what_a_name_has_for_a_terminal_is_written_out(tmp_path: Path) -> None:
     (line,) = result.output.splitlines()
     assert line.startswith("Error: ")
     assert r"no\x1b]0;title\x07 such\nfolder does not exist" in line
+
+
+def test_a_network_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.onnx")
+    with pytest.raises(InputError, match="it is not a regular file"):
+        load_match_network(tmp_path / "pipe.onnx")
+
+
+@pytest.mark.parametrize("key", [".".join(["a"] * 60_000), " . ".join(['"a"'] * 30_000)])
+def test_keys_of_many_parts_take_no_time(tmp_path: Path, key: str) -> None:
+    for text in (f"{key} = 1\n", f"[{key}]\n", f"a = {{{key} = 1}}\n"):
+        (tmp_path / "a.toml").write_text(text)
+        began = time.process_time()
+        with pytest.raises(InputError, match="nested too deeply"):
+            read_toml(tmp_path / "a.toml", "layout")
+        assert time.process_time() - began < 1.0
+    (tmp_path / "a.toml").write_text("a = [" + "0.1, " * 60_000 + "]\n")
+    assert len(read_toml(tmp_path / "a.toml", "layout")["a"]) == 60_000

@@ -16,8 +16,14 @@ from command_line import slam
 from live_stream import free_port, get, state_of, stream
 from worlds import make_photographer, take
 
+from slamcli.core.errors import OutputError
 from slamcli.core.geometry import Pose2
 from slamcli.io.calibrations import save_calibration
+from slamcli.io.checkpoints import Checkpoint
+from slamcli.io.frames import FrameFile
+from slamcli.io.live_camera import Shot
+from slamcli.io.locks import lock_on
+from slamcli.run.live.recording import Recording
 
 TRUTH = [Pose2(0.05 * number, 0.005 * number, 0.02 * number) for number in range(5)]
 
@@ -131,6 +137,65 @@ def test_ctrl_c_ends_it_and_writes_the_map(
     assert len(rows_of(tmp_path / "map" / "poses.csv")) == 3
     # Nothing was to be recorded.
     assert [path.name for path in tmp_path.iterdir()] == ["map"]
+
+
+def test_what_was_taken_is_kept_when_the_map_cannot_be_written(
+    pictures: list[np.ndarray],
+    calibration: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    output, port = tmp_path / "map", free_port()
+    given = ["-c", calibration, "-o", output, "--port", port, "--no-browser"]
+
+    def full(*_: object, **__: object) -> None:
+        raise OutputError("cannot write map: No space left on device")
+
+    monkeypatch.setattr("slamcli.run.live.stitch_drive", full)
+    with stream(pictures[:2], port) as source:
+        done = slam("live", source, *given)
+    assert done.exit_code == 1
+    assert f"slam stitch {output}/live_frames maps them" in done.output
+    assert len(list((output / "live_frames").iterdir())) == 2
+    # Refused before a camera is opened.
+    again = slam("live", "97", *given)
+    assert "of a live run that was cut off" in again.output
+    done = slam("stitch", output / "live_frames", "-c", calibration, "-o", output)
+    assert done.exit_code == 0, done.output
+
+
+def test_a_folder_that_another_run_uses_or_left_is_refused_before_the_drive(
+    pictures: list[np.ndarray], calibration: Path, tmp_path: Path
+) -> None:
+    output = tmp_path / "map"
+    output.mkdir()
+    given = ["-c", calibration, "-o", output, "--no-browser"]
+    with stream(pictures[:1], free_port()) as source:
+        with lock_on(output):
+            assert "another run (process" in slam("live", source, *given).output
+        checkpoint = Checkpoint(output)
+        checkpoint.begin("key", resume=False, overwrite=False)
+        checkpoint.save({}, 3, 9)
+        assert "an interrupted run of other frames" in slam("live", source, *given).output
+
+
+def test_poses_are_written_when_the_recording_fails(
+    mapped: Path, pictures: list[np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port, output, keep = free_port(), tmp_path / "poses.csv", Recording.keep
+
+    def full(recording: Recording, shot: Shot, index: int) -> FrameFile:
+        if index == 2:
+            raise OutputError("cannot write a.jpg: No space left on device")
+        return keep(recording, shot, index)
+
+    monkeypatch.setattr(Recording, "keep", full)
+    given = ["--map", mapped / "map", "-o", output, "--record", tmp_path / "kept"]
+    with stream(pictures[:3], port) as source:
+        done = slam("live", source, *given, "--port", port, "--no-browser")
+    assert done.exit_code == 1
+    assert "No space left" in done.output
+    assert len(rows_of(output)) == 2
 
 
 @pytest.mark.parametrize(

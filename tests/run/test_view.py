@@ -96,6 +96,11 @@ def test_a_recording_for_rerun_has_the_map_and_the_frames(
     again = slam("view", tmp_path / "out", "--rerun", tmp_path / "out.rrd")
     assert again.exit_code == 1
     assert "--overwrite" in again.output
+    for path in (tmp_path / "out" / "mosaic.png", next(drive.glob("*.jpg"))):
+        before = path.read_bytes()
+        refused = slam("view", tmp_path / "out", "--rerun", path, "--overwrite")
+        assert "is an input of this command" in refused.output
+        assert path.read_bytes() == before
 
 
 def test_without_rerun_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

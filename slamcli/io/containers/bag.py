@@ -15,6 +15,7 @@ from threading import RLock
 from typing import Any
 
 from slamcli.core.errors import InputError, SlamcliError
+from slamcli.io.containers.bag_compression import bound_decompression
 from slamcli.io.files import fault_of_file
 
 BAG_SUFFIXES = frozenset({".bag", ".db3", ".mcap"})
@@ -180,6 +181,7 @@ class Bag:
                 f"the bag {self.path} needs rosbags: pip install 'slamcli[rosbag]'"
             ) from error
         _check_files(self.path)
+        bound_decompression()
         reader = AnyReader([self.path], default_typestore=get_typestore(Stores.LATEST))
         reader.open()
         weakref.finalize(self, reader.close)

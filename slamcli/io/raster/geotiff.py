@@ -80,7 +80,8 @@ def write_geotiff(
             warnings.simplefilter("ignore")
             _write_plain(rasterio, plain, layout, blocks)
             _copy_as_cog(rasterio, plain, path, layout)
-    except rasterio.errors.RasterioError as error:
+    # GDAL's own errors, of a full disk among them, are no RasterioError.
+    except (rasterio.errors.RasterioError, rasterio._err.CPLE_BaseError) as error:
         raise OutputError(f"cannot write {path}: {' '.join(str(error).split())}") from error
     finally:
         plain.unlink(missing_ok=True)

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import Thread
 
 from slamcli.core.camera.calibration import Calibration, top_down_calibration
@@ -17,10 +16,11 @@ from slamcli.core.errors import CalibrationError, InputError, OutputError
 from slamcli.core.exit_codes import of_placement
 from slamcli.core.records import PoseEstimate
 from slamcli.io.calibrations import load_calibration
+from slamcli.io.checkpoints import Checkpoint
 from slamcli.io.live_camera import LiveCamera
 from slamcli.io.loopback import LoopbackServer
 from slamcli.io.map_file import load_map
-from slamcli.io.outputs import refuse_earlier, refuse_existing
+from slamcli.io.outputs import locked_folder, refuse_earlier, refuse_existing, remove_folder
 from slamcli.io.poses import write_poses
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.command_report import Report
@@ -37,6 +37,8 @@ from slamcli.run.stitch.timing import Timing
 from slamcli.run.telemetry import Telemetry, TelemetryFiles
 
 _OUTPUT = "live_mosaic"
+# Where the frames are until the map is written, in its folder.
+_KEPT = "live_frames"
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,12 +104,18 @@ def _map(
     session: Session,
 ) -> Report:
     timing = Timing()
-    refuse_earlier(output, PRODUCTS, inputs=[calibration_path], overwrite=options.overwrite)
-    with LiveCamera(source) as camera, _folder(options.record, output) as folder:
+    _check_output(output, calibration_path, options)
+    painting = replace(session, interruption=session.interruption.renewed())
+    with (
+        LiveCamera(source) as camera,
+        locked_folder(output),
+        _folder(options, output, calibration_path, painting) as folder,
+    ):
+        Checkpoint(output).begin("", resume=False, overwrite=options.overwrite)
         calibration, path, note = _calibration(calibration_path, camera.size)
         mapper, recording = Mapper(calibration, MapperOptions()), Recording(folder)
         page = LivePage(source, camera, mapping(mapper))
-        _run(page, recording, options, session)
+        _run(page, recording, options, session, [])
         timing.done("live")
         drive = Drive(
             () if options.record is None else (folder,),
@@ -117,13 +125,25 @@ def _map(
             StitchOptions(MapperOptions()),
             mapper,
         )
-        return stitch_drive(
-            drive,
-            output,
-            timing,
-            overwrite=options.overwrite,
-            session=replace(session, interruption=session.interruption.renewed()),
-            command=_repeating(options.record, path),
+        with painting.interruption.on_signals():
+            return stitch_drive(
+                drive,
+                output,
+                timing,
+                overwrite=options.overwrite,
+                session=painting,
+                command=_repeating(options.record, path),
+            )
+
+
+def _check_output(output: Path, calibration_path: Path | None, options: LiveOptions) -> None:
+    """Refuse, before the drive, a folder that the map cannot be written into."""
+    refuse_earlier(output, PRODUCTS, inputs=[calibration_path], overwrite=options.overwrite)
+    kept = output / _KEPT
+    if kept.exists() and any(kept.iterdir()) and not options.overwrite:
+        raise OutputError(
+            f"{kept} has the frames of a live run that was cut off: slam stitch {kept} maps them, "
+            "--overwrite deletes them"
         )
 
 
@@ -137,9 +157,13 @@ def _locate(
         _check_size(tracker.calibration, camera.size, floor_map)
         recording = None if options.record is None else Recording(options.record)
         page = LivePage(source, camera, tracker)
-        found = _run(page, recording, options, session)
-    if output is not None:
-        write_poses(output, found)
+        found: list[PoseEstimate] = []
+        try:
+            _run(page, recording, options, session, found)
+        finally:
+            # Also of a run that fails, as on a disk that the recording fills.
+            if output is not None and found:
+                write_poses(output, found)
     placed = sum(estimate.map_from_robot is not None for estimate in found)
     lines = [page.counts, f"{placed} of {len(found)} frames are on the map"]
     lines += [f"written to {path}" for path in (output, options.record) if path is not None]
@@ -148,10 +172,14 @@ def _locate(
 
 
 def _run(
-    page: LivePage, recording: Recording | None, options: LiveOptions, session: Session
-) -> list[PoseEstimate]:
-    """Pass the camera's pictures through a tracker; return each frame's estimate as it came."""
-    tracker, found = page.tracker, list[PoseEstimate]()
+    page: LivePage,
+    recording: Recording | None,
+    options: LiveOptions,
+    session: Session,
+    found: list[PoseEstimate],
+) -> None:
+    """Pass the camera's pictures through a tracker; each frame's estimate is added to `found`."""
+    tracker = page.tracker
     with _served(page, options, session):
         with session.interruption.on_signals():
             for shot in page.moving(session.interruption.stops_here):
@@ -170,7 +198,6 @@ def _run(
         session.notify(page.line)
     if not found:
         raise InputError("ended before the first frame")
-    return found
 
 
 def _repeating(record: Path | None, calibration: Path | None) -> str:
@@ -196,18 +223,28 @@ def _served(page: LivePage, options: LiveOptions, session: Session) -> Iterator[
 
 
 @contextmanager
-def _folder(record: Path | None, output: Path) -> Iterator[Path]:
-    """Yield the folder that keeps the frames, for this run alone unless it is to be kept."""
-    if record is not None:
-        yield record
+def _folder(
+    options: LiveOptions, output: Path, calibration_path: Path | None, session: Session
+) -> Iterator[Path]:
+    """Yield the folder that keeps the frames; unless it was named, it goes when the map is written.
+
+    A run that fails, is killed, or is interrupted while it writes the map leaves it.
+    """
+    # What the folder was before the camera was open may have changed.
+    _check_output(output, calibration_path, options)
+    if options.record is not None:
+        yield options.record
         return
+    folder, complete = output / _KEPT, False
+    remove_folder(folder)
     try:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        made = TemporaryDirectory(prefix=f".{output.name}-live-", dir=output.parent)
-    except OSError as error:
-        raise OutputError(f"cannot write {output}: {error.strerror or error}") from error
-    with made as folder:
-        yield Path(folder)
+        yield folder
+        complete = not session.interruption.happened
+    finally:
+        if complete:
+            remove_folder(folder)
+        elif folder.exists():
+            session.notify(f"the frames are kept: slam stitch {folder} maps them")
 
 
 def _calibration(path: Path | None, size: tuple[int, int]) -> tuple[Calibration, Path | None, str]:

@@ -70,9 +70,10 @@ def stitch(
     """
     timing = Timing()
     drive = open_drive(sources, calibration_path, options, telemetry or TelemetryFiles(), session)
-    return stitch_drive(
-        drive, output, timing, overwrite=overwrite, session=session, command=command
-    )
+    with session.interruption.on_signals(), locked_folder(output):
+        return stitch_drive(
+            drive, output, timing, overwrite=overwrite, session=session, command=command
+        )
 
 
 def stitch_drive(
@@ -84,7 +85,7 @@ def stitch_drive(
     session: Session,
     command: str = "",
 ) -> Report:
-    """Map an open drive into `output`; the other parameters are those of `stitch`.
+    """Map an open drive into `output`, a locked folder; the other parameters are those of `stitch`.
 
     Parameters
     ----------
@@ -99,11 +100,7 @@ def stitch_drive(
     """
     options = drive.options
     control = read_control(options, drive.inputs.files)
-    with (
-        session.interruption.on_signals(),
-        locked_folder(output),
-        Checkpoint(output) as checkpoint,
-    ):
+    with Checkpoint(output) as checkpoint:
         resumed = resume.begin(drive, checkpoint, overwrite=overwrite)
         replaced = overwrite or resumed
         with staging_folder(output, PRODUCTS, inputs=drive.paths, overwrite=replaced) as staging:
