@@ -26,7 +26,7 @@ from slamcli.io.picture_files import Listed
 
 _SUFFIXES = frozenset({".test", ".txt"})
 _NAMES, _TIMES, _PICTURES = "image_names.txt", "times.txt", "rgb"
-_PICTURE = re.compile(r"\S.*?\.(?:bmp|jpe?g|pgm|png|ppm|tiff?|webp)(?=[\s,;]|$)", re.IGNORECASE)
+_SUFFIX = re.compile(r"\.(?:bmp|jpe?g|pgm|png|ppm|tiff?|webp)(?=[\s,;]|$)", re.IGNORECASE)
 # A pose is the rows of a 3 x 3 matrix; one that starts with this was not confirmed.
 _POSE_NUMBERS, _UNCONFIRMED = 9, "*"
 # Width and height of HD Ground's pictures, where they are not there to be asked.
@@ -107,15 +107,19 @@ def _listed(path: Path, number: int, line: str) -> Listed:
         raise InputError(f"{path}, line {number}: no picture; a list of frames is needed")
     folders = (path.parent, path.parent / _PICTURES, path.parent.parent)
     places = [folder / name.replace("\\", "/") for folder in folders]
-    found = next((place for place in places if place.is_file()), None)
+    try:
+        found = next((place for place in places if place.is_file()), None)
+    except OSError as error:
+        raise InputError(f"{path}, line {number}: {error.strerror or error}") from error
     if found is None:
         raise InputError(f"{path}, line {number}: {name} does not exist")
     return Listed(found, None, _stamp(path, number, words[0]) if stamped else None)
 
 
 def _picture(line: str) -> str:
-    found = _PICTURE.search(line)
-    return "" if found is None else found.group()
+    line = line.lstrip()
+    found = _SUFFIX.search(line, 1)
+    return "" if found is None else line[: found.end()]
 
 
 def _stamp(path: Path, number: int, word: str) -> float:

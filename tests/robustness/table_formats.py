@@ -17,6 +17,7 @@ from slamcli.core.errors import CalibrationError, InputError, MapError
 from slamcli.core.geometry import Pose2
 from slamcli.io.calibrations import calibration_text, load_calibration, load_intrinsics, load_origin
 from slamcli.io.map_file import load_map, save_map
+from slamcli.io.sequences import sequence_of
 from slamcli.io.telemetry import read_compass, read_gps, read_odometry
 from slamcli.io.trajectories import read_trajectory
 from slamcli.mapping.localizer import Locator
@@ -37,6 +38,15 @@ COMPASS = (
 GPS = (
     b"stamp,latitude,longitude,sigma\n0,29.64,-82.35,1.0\n1,29.65,-82.36,1.0\n",
     b"\xef\xbb\xbft,lat,lon\n0,29.64,-82.35\n1,29.65,-82.36\n",
+)
+HD_GROUND = (
+    b"seq/0.png 1 0 10 0 1 20 0 0 1\nseq/1.png, 0, -1, 3, 1, 0, 4, 0, 0, 1\n"
+    b"seq/2.png * 1 0 5 0 1 6 0 0 1\n"
+)
+SEQUENCES = (
+    b"# stamp path\n0.100000 0.png\n0.200000 1.png\n",
+    b"0.png\n1.png\n",
+    HD_GROUND.replace(b"seq/2", b"seq/1"),
 )
 CAMERA_INFO = (
     b"image_width: 640\nimage_height: 480\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
@@ -98,6 +108,19 @@ def read_map(path: Path) -> None:
         raise SilentlyWrongError("lost without a reason")
 
 
+def read_list(path: Path) -> None:
+    """List the pictures of a text file."""
+    for folder in (path.parent, path.parent / "seq"):
+        folder.mkdir(exist_ok=True)
+        for number in range(2):
+            (folder / f"{number}.png").touch()
+    sequence = sequence_of(path)
+    if sequence is None or not all(one.path.is_file() for one in sequence):
+        raise SilentlyWrongError("no list of pictures")
+    if not all(one.stamp is None or np.isfinite(one.stamp) for one in sequence):
+        raise SilentlyWrongError("a stamp that is not finite")
+
+
 def finite(read: Callable[[Path], object]) -> Callable[[Path], None]:
     """Return the reader, which also holds that numbers are finite and within bounds."""
 
@@ -127,7 +150,10 @@ def these(*files: bytes) -> Callable[[], Sequence[bytes]]:
 FORMATS = {
     "calibration": Format(".yaml", calibrations, read_calibration, (CalibrationError,)),
     "camera_info": Format(".yaml", these(*CAMERA_INFO), read_lens, (CalibrationError,)),
-    "poses": Format(".csv", these(POSES, TUM, KITTI), finite(read_trajectory), (InputError,)),
+    "poses": Format(
+        ".csv", these(POSES, TUM, KITTI, HD_GROUND), finite(read_trajectory), (InputError,)
+    ),
+    "sequence": Format(".txt", these(*SEQUENCES), read_list, (InputError,)),
     "odometry": Format(".csv", these(ODOMETRY, TUM), finite(read_odometry), (InputError,)),
     "compass": Format(".csv", these(*COMPASS), finite(read_compass), (InputError,)),
     "gps": Format(".csv", these(*GPS), finite(read_gps), (InputError,)),
