@@ -8,9 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from slamcli.core.bounds import FRAME_INDEX, STAMP, quoted
+from slamcli.core.bounds import (
+    ANGLE,
+    COORDINATE,
+    FRAME_INDEX,
+    SIGMA_METRES,
+    SIGMA_RADIANS,
+    STAMP,
+    quoted,
+)
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.errors import FrameError
+from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame, PreparedFrame
 from slamcli.stages.view import check_frame
 
@@ -45,6 +54,22 @@ def checked_frame(frame: object, calibration: Calibration) -> Frame:
             mask = mask.astype(np.uint8) * np.uint8(255)
         mask = np.ascontiguousarray(mask)
     return replace(checked, image=np.ascontiguousarray(image), mask=mask)
+
+
+def fault_of_expectation(pose: object, sigma: object = (1.0, 1.0)) -> str:
+    """Return what is wrong with an expected pose and its sigmas (metres, radians); else nothing."""
+    if not isinstance(pose, Pose2):
+        return f"the expected pose is {quoted(pose)}; a Pose2 is needed"
+    if pose.x not in COORDINATE or pose.y not in COORDINATE or pose.theta not in ANGLE:
+        return f"the expected pose is {quoted(pose)}; numbers within the bounds of a map are needed"
+    bounds = (SIGMA_METRES, SIGMA_RADIANS)
+    if (
+        not isinstance(sigma, tuple)
+        or len(sigma) != len(bounds)
+        or not all(number in limits for number, limits in zip(sigma, bounds, strict=True))
+    ):
+        return f"the sigmas are {quoted(sigma)}; metres and radians from 1e-6 on are needed"
+    return ""
 
 
 def refused(frame: object, reason: str) -> PreparedFrame:

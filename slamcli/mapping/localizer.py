@@ -12,6 +12,7 @@ from slamcli.core.failures import FAILURES, logged
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import FloorMap, Frame, Link, PoseEstimate, PreparedFrame
 from slamcli.mapping.backend.pose_graph import PoseGraph, lost
+from slamcli.mapping.frame_checks import fault_of_expectation
 from slamcli.mapping.keyframes import KeyframeDatabase
 from slamcli.mapping.locks import ReentrantLock
 from slamcli.mapping.near_keyframes import NearKeyframes
@@ -111,6 +112,8 @@ class Locator:
         """Return where a prepared frame is on the map, as `locate`."""
         if prepared.extraction is None:
             return lost(prepared, prepared.reason)
+        if near is not None and (fault := fault_of_expectation(near, sigma)):
+            return lost(prepared, fault)
         try:
             link = None if near is None else self._link_near(prepared, near, sigma)
             if link is None:
@@ -181,6 +184,9 @@ class Follower:
     def _expected(self, motion: Pose2 | None) -> tuple[Pose2 | None, tuple[float, float]]:
         """Return the next frame's pose as expected, with its sigmas; None where it is not known."""
         if motion is not None:
+            if fault_of_expectation(motion):
+                # Refused by the locator.
+                return motion, _SIGMA
             self._motion = motion
         if self._pose is None or self._since >= _MAX_FRAMES_LOST:
             return None, _SIGMA
@@ -188,10 +194,14 @@ class Follower:
         self._since += 1
         metres, radians = _SIGMA
         metres = max(metres, self._motion.translation_length)
-        return self._pose, (
+        sigma = (
             self._since * metres,
             self._since * max(radians, abs(self._motion.theta)),
         )
+        if fault_of_expectation(self._pose, sigma):
+            # Each motion was within its bounds, and all of them together are not.
+            return None, _SIGMA
+        return self._pose, sigma
 
     def _follow(self, estimate: PoseEstimate) -> PoseEstimate:
         found = estimate.map_from_robot

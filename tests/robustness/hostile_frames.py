@@ -129,3 +129,20 @@ def reading(rng: np.random.Generator, stamp: float) -> Any:
         return GpsReading(at, number(29.6), number(-82.3), number(1.0))
     except (InputError, ValueError):
         return None
+
+
+def expectation(rng: np.random.Generator) -> tuple[Any, Any]:
+    """Return what may be given as an expected pose, and as its sigmas."""
+
+    def number(usual: float) -> float:
+        return float(NUMBERS[rng.integers(len(NUMBERS))]) if rng.random() < 0.2 else usual
+
+    pose: Any = None
+    if rng.random() < 0.8:
+        pose = Pose2(number(0.02), number(0.0), number(0.0))
+    elif rng.random() < 0.5:
+        pose = ["x", 3, np.eye(3), (1, 2, 3), b""][rng.integers(5)]
+    sigma: Any = (number(0.1), number(0.1))
+    if rng.random() < 0.1:
+        sigma = [None, "x", (1,), (0, 0), [1, 2, 3], math.nan, ("1", "2")][rng.integers(7)]
+    return pose, sigma

@@ -21,7 +21,7 @@ from slamcli.core.geometry import Pose2
 from slamcli.core.records import FloorMap, Frame, PoseEstimate
 from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
 from slamcli.io.map_file import load_map, save_map
-from slamcli.mapping.localizer import Locator
+from slamcli.mapping.localizer import Follower, Locator
 from slamcli.mapping.mapper import Mapper
 
 # 10,000 updates and readings in a minute: SLAMCLI_API_ROUNDS=10000.
@@ -124,6 +124,25 @@ def test_locate_never_raises(floor_map: FloorMap) -> None:
     for number in range(ROUNDS // 4):
         estimate = locator.locate(hostile_frames.frame(rng, GOOD[number % 6], number))
         assert estimate.map_from_robot is not None or estimate.reason
+
+
+def test_what_a_robot_expects_may_be_anything(floor_map: FloorMap) -> None:
+    rng = np.random.default_rng(11)
+    locator = Locator(floor_map)
+    follower = Follower(locator)
+    for number in range(ROUNDS // 2):
+        frame = hostile_frames.frame(rng, GOOD[number % 6], number)
+        near, sigma = hostile_frames.expectation(rng)
+        for estimate in (locator.locate(frame, near, sigma), follower.update(frame, near)):
+            assert isinstance(estimate, PoseEstimate)
+            assert estimate.map_from_robot is not None or estimate.reason
+            # No warning, which some programs make an error, and no fault of this program's own.
+            assert not estimate.reason.startswith("cannot be"), estimate.reason
+    follower = Follower(locator)
+    assert follower.update(GOOD[0]).map_from_robot is not None
+    assert follower.update(GOOD[1], Pose2(float("nan"))).reason.startswith("the expected pose is")
+    for image in GOOD[2:]:
+        assert follower.update(image, Pose2(0.02)).map_from_robot is not None
 
 
 def test_an_unforeseen_failure_is_a_reason_and_in_the_log_with_its_traceback(
