@@ -59,6 +59,12 @@ class Pair:
     correlation: float
     reason: str = ""
 
+    @property
+    def median_pixels(self) -> float:
+        """Median distance of the matches under the pair's own homography."""
+        there = apply_homography(self.a_from_b, self.pixels_b)
+        return float(np.median(np.linalg.norm(there - self.pixels_a, axis=1)))
+
 
 def coarse_votes(first: SurveyFeatures, second: SurveyFeatures) -> int:
     """Return how many of the largest points of two frames are mutual, distinct nearest matches."""

@@ -97,7 +97,9 @@ class Alignment:
         noise = 2.0 * float(found.cost) / len(jacobian)
         covariance = _DEPENDENT_POINTS * noise * np.linalg.pinv(jacobian.T @ jacobian)
         both = np.array([self._correlation(values, a, b) for a, b in self.directed])
-        sigmas = np.sqrt(np.diag(covariance)[:CAMERA])
+        variances = np.diag(covariance)[:CAMERA]
+        # What pictures without a motion leave open comes out as 0 or below.
+        sigmas = np.sqrt(np.where(variances > 0.0, variances, np.inf))
         return Aligned(values, both.reshape(-1, 2).min(axis=1), sigmas)
 
     def _template(self, detail: Float32Array, slopes: Sequence[Float32Array]) -> _Template:

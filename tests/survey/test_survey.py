@@ -65,6 +65,19 @@ def test_the_focal_length_of_a_camera_that_tilts_is_found(
     np.testing.assert_allclose(bundle.states[:, 4:], states[:, 4:], atol=math.radians(0.2))
 
 
+def test_the_focal_length_of_photos_from_all_sides_is_found() -> None:
+    generator = np.random.default_rng(10)
+    states = nadir_states(2, 4, generator)
+    states[:, 4:] = np.radians(generator.uniform(-30.0, 30.0, (len(states), 2)))
+    features = [survey_features(picture) for picture in photographs(floor_picture(), states)]
+    guess = 1.6 * FOCAL
+    found = survey(features, Lens(guess, 0.0, RADIUS, LensPrior(math.log(guess), 0.5)))
+    assert [len(one.frames) for one in found.maps] == [8]
+    bundle = found.maps[0].bundle
+    assert bundle.lens.focal_pixels == pytest.approx(FOCAL, rel=0.02)
+    assert trajectory_error(bundle.states[:, :2], states[:, :2]) < 1.0
+
+
 def test_a_flight_in_any_order_is_one_map(
     flight: tuple[Float64Array, list[UInt8Array]],
 ) -> None:

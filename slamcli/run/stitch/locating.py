@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from slamcli.core.errors import InputError
+from slamcli.core.geometry import wrap_angle
 from slamcli.core.records import PreparedFrame
 from slamcli.io.checkpoints import Checkpoint
 from slamcli.io.frames import FrameFile, of_camera
@@ -32,6 +33,10 @@ _FRAMES_TO_NAME_A_FAULT = 16
 # carried by hand [benchmarks/free_cameras.py].
 _FRAMES_TO_LOOK_AGAIN, _LOST_SHARE = (8, 24, 64), 0.25
 
+# Frames without a calibration that lie within this share of the picture and this turn of the first
+# [tests/survey/test_static_light.py: vignetting leaves 0.01; the backend's limits are the same].
+_STANDING_SHARE, _STANDING_RADIANS = 0.03, 0.1
+
 
 def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> LocatedDrive:
     """First pass over the frames: each to its pose or the reason why it has none.
@@ -56,7 +61,8 @@ def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> Loc
     surveyed = _survey_frames(
         drive, *describing.describe_frames(drive.inputs.files, session), session
     )
-    best = surveyed if _size(surveyed) > _size(located) else located
+    better = _size(surveyed) > _size(located) or _stands(located)
+    best = surveyed if better else located
     few = 2 * _size(surveyed)[0] < len(drive.inputs.files)
     return _locate_by_pixels(drive, best, checkpoint, session) if few else best
 
@@ -138,6 +144,22 @@ def _size(located: LocatedDrive) -> tuple[int, int]:
     fragments = placed_fragments(located.registered.estimates).values()
     sizes = [len(members) for members in fragments]
     return max(sizes, default=0), sum(sizes)
+
+
+def _stands(located: LocatedDrive) -> bool:
+    """Return whether no frame of the largest map lies apart from its first.
+
+    What moves with the camera, as its vignetting does, looks like this; frames of a camera that
+    stands are all placed.
+    """
+    poses = [one.map_from_robot for one in located.registered.estimates if one.fragment == 0]
+    known = [pose for pose in poses if pose is not None]
+    if not known:
+        return False
+    apart = max((known[0].inverse() @ pose).translation_length for pose in known)
+    turn = max(abs(wrap_angle(pose.theta - known[0].theta)) for pose in known)
+    limit = _STANDING_SHARE * max(located.drive.inputs.calibration.image_size)
+    return apart < limit and turn < _STANDING_RADIANS
 
 
 def _survey_frames(
