@@ -7,8 +7,7 @@ import errno
 import os
 import stat
 import tempfile
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 
 import cv2
@@ -104,23 +103,6 @@ def _encoded(path: Path, image: UInt8Array, jpeg_quality: int) -> bytes:
     if not encoded:
         raise OutputError(f"cannot write {path}: a picture of {image.shape} cannot be encoded")
     return data.tobytes()
-
-
-@contextmanager
-def unfinished(path: Path) -> Iterator[Path]:
-    """Yield where a library may write a file, which takes its place at the end; else it is deleted.
-
-    Raises
-    ------
-    OSError
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=STAGING_PREFIX, dir=path.parent) as folder:
-        written = Path(folder) / path.name
-        yield written
-        sync_files(written.parent)
-        written.replace(path)
-        sync_folder(path.parent)
 
 
 def sync_files(folder: Path) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from slamcli.core.arrays import Float64Array, UInt8Array
 from slamcli.core.errors import InputError, OutputError
 from slamcli.core.records import FloorMap, PoseEstimate
-from slamcli.io.files import unfinished
+from slamcli.io.files import write_bytes
 
 _PATH, _LOOP, _ROBOT = (31, 111, 235), (240, 140, 0), (215, 48, 39)
 # Sizes of lines and of the robot, as shares of the path's extent.
@@ -71,16 +71,16 @@ def write_rerun(
     recording = rerun.RecordingStream("slamcli", recording_id=str(path.stem))
     recording.set_log_time_enabled(False)
     recording.set_log_tick_enabled(False)
+    # rerun's own writer of files waits for ever where the disk is full.
+    stream = recording.memory_recording()
     try:
-        with unfinished(path) as written:
-            recording.save(written)
-            _log_map(rerun, recording, floor_map, floors)
-            for estimate in floor_map.estimates:
-                _log_frame(rerun, recording, estimate, picture_of(estimate))
-            recording.flush()
-            recording.disconnect()
-    except (OSError, RuntimeError) as error:
+        _log_map(rerun, recording, floor_map, floors)
+        for estimate in floor_map.estimates:
+            _log_frame(rerun, recording, estimate, picture_of(estimate))
+        data = stream.drain_as_bytes()
+    except RuntimeError as error:
         raise OutputError(f"cannot write {path}: {error}") from error
+    write_bytes(path, data)
 
 
 def _log_map(

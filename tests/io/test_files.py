@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from slamcli.core.errors import OutputError
-from slamcli.io.files import unfinished, write_text
+from slamcli.io.files import write_text
 from slamcli.io.outputs import output_folder, refuse_existing
 
 
@@ -112,20 +112,3 @@ def test_results_are_on_the_disk_before_they_are_renamed(
         write_text(staging / "b.csv", "")
         assert calls == ["rename"]
     assert calls == ["rename", "sync", "rename", "sync"]
-
-
-def test_a_file_that_a_library_writes_is_whole_or_not_there(tmp_path: Path) -> None:
-    path = tmp_path / "new" / "a.rrd"
-
-    def write(*, fails: bool) -> None:
-        with unfinished(path) as written:
-            written.write_bytes(b"whole")
-            if fails:
-                raise OSError
-
-    with pytest.raises(OSError):  # noqa: PT011
-        write(fails=True)
-    assert not list(path.parent.iterdir())
-    write(fails=False)
-    assert path.read_bytes() == b"whole"
-    assert list(path.parent.iterdir()) == [path]
