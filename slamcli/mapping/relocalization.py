@@ -139,7 +139,10 @@ class Relocalizer:
         share = result.correlation if math.isnan(result.confirmed) else result.confirmed
         many = result.alignment.inlier_count >= self._options.convincing_inliers
         if share < (_MIN_CONFIRMED_BY_MANY if many else _MIN_CONFIRMED):
-            reason = f"only {share:.0%} of the floor is unchanged (to {result.keyframe.name})"
+            reason = (
+                f"the floor has changed: {share:.0%} of it looks as in the map; map it again, or "
+                f"extend the map (to {result.keyframe.name})"
+            )
             return replace(result, link=None, reason=reason)
         return replace(result, link=replace(result.link, kind="loop"))
 

@@ -66,7 +66,10 @@ def too_few_inliers(alignment: FeatureAlignment, options: MapperOptions) -> str:
     count, least = alignment.inlier_count, options.convincing_inliers
     if count >= least:
         return f"the pixels do not confirm the {count} inliers"
-    return f"only {count} inliers; at least {least} that the pixels confirm are needed"
+    return (
+        f"{count} inliers without the pixels' confirmation are too few (of {least}); "
+        "leave --dense on, or let frames overlap more"
+    )
 
 
 def max_displacement_metres(first: int, second: int, options: MapperOptions) -> float:
@@ -133,8 +136,8 @@ def _check_patches(fit: MotionHypothesis, *, backed: bool) -> str:
     least = _min_confirmed(backed=backed)
     if fit.agreement.confirmed < least:
         return (
-            f"only {fit.agreement.confirmed:.0%} of the floor's patches agree with the fit; "
-            f"at least {least:.0%} must"
+            f"the views differ: {fit.agreement.confirmed:.0%} of the floor's patches agree with "
+            "the best motion; let frames overlap more, or keep obstacles and shadows out of view"
         )
     return ""
 
@@ -191,8 +194,8 @@ def check_similarity(pair: PyramidPair, fit: MotionHypothesis, options: MapperOp
         )
     if fit.agreement.overlap < THRESHOLDS.min_searched_overlap:
         return (
-            f"the views share only {fit.agreement.overlap:.0%} of the floor; "
-            f"at least {THRESHOLDS.min_searched_overlap:.0%} is needed where few features agree"
+            f"the views share {fit.agreement.overlap:.0%} of the floor, too little where few "
+            f"features agree; let them overlap by {THRESHOLDS.min_searched_overlap:.0%} or more"
         )
     return ""
 

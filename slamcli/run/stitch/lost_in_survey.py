@@ -17,7 +17,10 @@ def lost_reason(
     """Return why a frame is in no map, and what may help."""
     points = 0 if features is None else len(features)
     if points < _MIN_TEXTURE:
-        return f"only {points} distinct points: too little texture, or blurred"
+        return (
+            f"too little texture, or blurred ({points} distinct points): more light, a shorter "
+            "exposure or a lower camera may help"
+        )
     own = [pair for pair in found.contradicted if number in (pair.a, pair.b)]
     if own:
         other = files[own[0].a + own[0].b - number].name
@@ -27,4 +30,7 @@ def lost_reason(
         return "shares no texture with any other frame; frames should overlap by a third"
     best = max(own, key=lambda pair: (pair.inliers, -pair.a, -pair.b))
     other = files[best.a + best.b - number].name
-    return f"overlaps no other frame enough; nearest {other}: {best.reason}"
+    return (
+        f"overlaps no other frame enough; frames should overlap by a third "
+        f"(nearest {other}: {best.reason})"
+    )

@@ -87,8 +87,9 @@ def test_it_asks_the_network_for_nothing(run: FinishedRun, tmp_path: Path) -> No
     [
         ("overlaps no other frame", "overlaps no other frame"),
         (
-            "overlaps no other frame enough; nearest b.jpg: pixels of the overlap differ",
-            "overlaps no other frame enough; nearest …: …",
+            "overlaps no other frame enough; frames should overlap by a third (nearest b.jpg: "
+            "pixels of the overlap differ)",
+            "overlaps no other frame enough; frames should overlap by a third (nearest …: …)",
         ),
         (
             "12 inliers of 40 matches; at least 15 are needed (to 0 (1).jpg)",
