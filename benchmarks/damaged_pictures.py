@@ -392,8 +392,14 @@ def main() -> None:
         ("WebP", opencv(".webp", cv2.IMWRITE_WEBP_QUALITY, 90), "one bit"),
         ("BMP", opencv(".bmp"), "zeroed"),
         ("BMP", opencv(".bmp"), "half written"),
+        ("BMP", opencv(".bmp"), "erased"),
+        ("PNM", opencv(".ppm"), "zeroed"),
+        ("PNM", opencv(".ppm"), "erased"),
         ("TIFF, not compressed", pillow("TIFF"), "zeroed"),
+        ("TIFF, not compressed", pillow("TIFF"), "erased"),
         ("TIFF, not compressed", pillow("TIFF", "L"), "one bit"),
+        ("TIFF", pillow("TIFF", compression="tiff_lzw"), "one bit"),
+        ("TIFF", pillow("TIFF", compression="tiff_deflate"), "one bit"),
     ):
         row(placed(kind, encode, way))
     row(["1080p", "as", "bare OpenCV ms", "read ms"])

@@ -46,6 +46,7 @@ _LARGE = {
 }
 _PROGRESS = re.compile(r"[a-z ]+ \d+/\d+, .*")
 _CODES = {0, 1, 3, 130}
+_MOUNT_TRIES = 100
 
 
 @dataclass(frozen=True)
@@ -203,7 +204,13 @@ def disk(folder: Path, size: int) -> Iterator[Callable[[str], None]]:
             bound = "remount,bind,ro" if options == "ro" else f"remount,{options}"
             words.append(["mount", "-o", bound, folder])
         for one in words:
-            subprocess.run(one, check=True)
+            # While a file is being written, a disk is busy.
+            for _ in range(_MOUNT_TRIES):
+                if subprocess.run(one, check=False).returncode == 0:
+                    break
+                time.sleep(0.02)
+            else:
+                raise OSError(f"cannot mount: {one}")
 
     try:
         yield again
