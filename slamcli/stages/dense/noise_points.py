@@ -26,8 +26,9 @@ from slamcli.stages.dense.photometric_residuals import (
 # The weaker half of a texture's points carries a fifth to two fifths of the squared gradients, that
 # of a few lines on a plain floor next to nothing [guarded by benchmarks/courses.py].
 _MAX_SHARE_OF_WEAKER_HALF = 0.1
-# What is left out may carry this share of the squared gradients that both views show.
-_MAX_LOST_SHARE = 0.05
+# What is left out may carry this share of the squared gradients that both views show: with a
+# larger one the feet of edges are among it [guarded by tests/stages/test_noise_points.py].
+_MAX_LOST_SHARE = 0.02
 # It is noise when its gradients correlate by less than the first between the views, while those of
 # what is kept correlate by more than the second [guarded by benchmarks/courses.py].
 _MAX_CORRELATION_OF_NOISE = 0.5
