@@ -196,11 +196,24 @@ def _register_near_guess(
     guess: Pose2,
 ) -> RegistrationResult:
     """Return the result of the guess refined on the pixels, or of the features' motion."""
-    fits = []
+    fits: list[MotionHypothesis] = []
     if by_features is None or not refinement.converges_to(near, guess, by_features):
-        fit = refinement.refine_hypothesis(near, guess, None, context.calibration, context.options)
-        fits = [] if fit is None else [fit]
+        fits = _refine_guess(context, near, guess)
     return context.choose(near, fits, by_features, None)
+
+
+def _refine_guess(context: PairContext, near: PyramidPair, guess: Pose2) -> list[MotionHypothesis]:
+    """Return a guess refined on all levels and, where that explains less than all, on the finest.
+
+    Of few lines the coarse levels show too little to start on.
+    """
+    fits = []
+    for pair in (near, PyramidPair(near.a[:2], near.b[:2])):
+        fit = refinement.refine_hypothesis(pair, guess, None, context.calibration, context.options)
+        fits += [] if fit is None else [fit]
+        if fit is not None and refinement.converges_to(near, guess, fit):
+            break
+    return fits
 
 
 def _register_in_window(

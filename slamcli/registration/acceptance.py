@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import FeatureAlignment
@@ -236,9 +237,38 @@ def expected_elsewhere(fit: MotionHypothesis, expected: Pose2) -> str:
     )
 
 
-def check_observable(fit: MotionHypothesis, range_metres: float, options: MapperOptions) -> str:
-    """Return why a motion is not determined in every direction."""
-    covariance = fit.predicted_covariance
+def check_observable(
+    fit: MotionHypothesis, range_metres: float, options: MapperOptions, *, backed: bool = False
+) -> str:
+    """Return why a motion is not determined in every direction.
+
+    Neither as gradients and noise predict it nor as the residuals show it: along a plain line noise
+    passes for some information now and then, but the residuals then show no agreement on it.
+
+    Parameters
+    ----------
+    fit : MotionHypothesis
+    range_metres : float
+        How far the camera sees.
+    options : MapperOptions
+    backed : bool
+        Whether enough features agree with the fit that it is no line's: what a camera that rocks
+        leaves in the residuals then makes a motion less certain, not open.
+    """
+    covariances = (
+        (fit.predicted_covariance,)
+        if backed
+        else (
+            fit.predicted_covariance,
+            fit.covariance,
+        )
+    )
+    reasons = (_check_sigmas(covariance, range_metres, options) for covariance in covariances)
+    return next(filter(None, reasons), "")
+
+
+def _check_sigmas(covariance: Float64Array, range_metres: float, options: MapperOptions) -> str:
+    """Return in which direction a (3, 3) covariance leaves a motion open, or ""."""
     variances, directions = np.linalg.eigh(covariance[:2, :2])
     sigma, turn_sigma = math.sqrt(float(variances[1])), math.sqrt(float(covariance[2, 2]))
     if sigma > options.max_sigma_share * range_metres:

@@ -153,11 +153,13 @@ class PairContext:
 
     def _check_observable(self, fit: MotionHypothesis) -> str:
         # Over a floor of many features a camera that rocks leaves a motion less certain, not wrong.
-        share = self.options.max_sigma_share
+        share, backed = self.options.max_sigma_share, False
         if acceptance.backed_by_features(self.alignment, self.options):
-            share *= _SIGMA_FACTOR_OF_FEATURES
+            share, backed = share * _SIGMA_FACTOR_OF_FEATURES, True
         options = replace(self.options, max_sigma_share=share)
-        return acceptance.check_observable(fit, self.calibration.max_range_metres, options)
+        return acceptance.check_observable(
+            fit, self.calibration.max_range_metres, options, backed=backed
+        )
 
     def _rival(
         self, pair: PyramidPair, best: MotionHypothesis, others: Sequence[MotionHypothesis]

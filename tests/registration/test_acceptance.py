@@ -233,6 +233,14 @@ def test_the_open_direction_is_the_widest_of_the_covariance() -> None:
     assert reason.startswith(f"the motion is open along {math.degrees(0.5):.0f} degrees")
 
 
+def test_a_motion_is_open_too_where_the_residuals_alone_show_it() -> None:
+    fit = fit_of()
+    shown = replace(fit, covariance=fit.covariance + np.diag([0.0, 0.01, 0.0]))
+    assert acceptance.check_observable(fit, 2.0, OPTIONS) == ""
+    reason = acceptance.check_observable(shown, 2.0, OPTIONS)
+    assert reason.startswith("the motion is open along 90 degrees")
+
+
 @pytest.mark.parametrize(("sigma", "rejected"), [(0.0139, False), (0.0141, True)])
 def test_a_turn_is_open_where_its_sigma_is_too_large(sigma: float, rejected: bool) -> None:
     reason = acceptance.check_observable(fit_of(sigmas=(0.001, 0.001, sigma)), 2.0, OPTIONS)

@@ -12,15 +12,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slamcli.core.arrays import Float64Array
+from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.core.geometry import Pose2, invert
 from slamcli.core.records import PyramidLevel
 from slamcli.stages.dense import pyramid
 
 _MIN_INFORMATION = 1e-8
-# Information below this many sigmas of what noise adds up to is taken for none
-# [guarded by benchmarks/robustness.py: textureless-course; sigmas by benchmarks/accuracy.py: NEES].
-_CHANCE_SIGMAS = 2.0
+# Information below this many sigmas of what noise adds up to is taken for none: two, and gradients
+# of noise correlate over about six pixels, so that they add up to more than independent ones
+# [guarded by tests/registration/test_plain_lines.py, benchmarks/robustness.py: textureless-course;
+# sigmas by benchmarks/sigmas.py: NEES].
+_CHANCE_SIGMAS = 5.0
 # Aliasing of an edge in the camera's pixels, and the blocks of a JPEG, move with the camera and not
 # with the floor: this share of an edge's gradient along it is no information
 # [guarded by benchmarks/robustness.py: jpeg, textureless-course].
@@ -91,9 +93,10 @@ def covariances_of(
     seen, scales = found
     prior = central.T @ solved.prior @ central * scales
     inverse = invert(seen + prior + _MIN_INFORMATION * np.eye(len(seen)))
-    spread = central.T @ _score_covariance(b, solved) @ central * scales + prior
+    block = _blocks(b, solved)
+    scores = central.T @ _score_covariance(block, solved) @ central * scales
     predicted = central @ (inverse * scales) @ central.T
-    shown = central @ (inverse @ spread @ inverse * scales) @ central.T
+    shown = central @ (inverse @ (scores + prior) @ inverse * scales) @ central.T
     return np.asarray(predicted[:3, :3], np.float64), np.asarray(shown[:3, :3], np.float64)
 
 
@@ -132,15 +135,21 @@ def _seen_information(
     return (vectors * np.maximum(values - chance, 0.0)) @ vectors.T, scales
 
 
-def _score_covariance(b: PyramidLevel, solved: NormalEquations) -> Float64Array:
+def _blocks(b: PyramidLevel, solved: NormalEquations) -> Int64Array:
+    """Return (N,): the number of the block of the view that each point lies in, from 0 on."""
+    side = _BLOCK_PIXELS * b.metres_per_pixel
+    column, row = (np.floor(places / side).astype(np.int64) for places in solved.points.T)
+    row -= row.min()
+    block: Int64Array = (column - column.min()) * (row.max() + 1) + row
+    return block
+
+
+def _score_covariance(block: Int64Array, solved: NormalEquations) -> Float64Array:
     """Return the (K, K) covariance of the sum of the residuals' weighted slopes, by blocks."""
-    cells = np.floor(solved.points / (_BLOCK_PIXELS * b.metres_per_pixel)).astype(np.int64)
-    cells -= cells.min(axis=0)
-    block = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
-    scores = solved.slopes * (solved.weight * solved.residual)
-    sums = np.array([np.bincount(block, weights=score) for score in scores])
-    count = float(len(np.unique(block)))
-    predicted = (solved.slopes * solved.weight) @ solved.slopes.T
+    weighted = solved.slopes * solved.weight
+    sums = np.array([np.bincount(block, weights=score) for score in weighted * solved.residual])
+    count = float(np.count_nonzero(np.bincount(block)))
+    predicted = weighted @ solved.slopes.T
     shown = sums @ sums.T * (count / max(count - 1.0, 1.0))
     covariance: Float64Array = (count * shown + _PRIOR_BLOCKS * predicted) / (count + _PRIOR_BLOCKS)
     return covariance
