@@ -51,10 +51,11 @@ def evaluate(
 ) -> None:
     """Measure the error of poses against ground truth.
 
-    POSES are trajectories: poses.csv, truth.csv, TUM, KITTI or HD Ground, or a folder with
-    groundtruth.txt in it; without --truth the last of them is the truth. They are matched by
-    stamps, else by the frames' names, and aligned; the result is the absolute trajectory error
-    (ATE), the relative pose error (RPE) and whether the covariances are consistent (NEES).
+    POSES are trajectories: poses.csv, truth.csv, TUM, KITTI or HD Ground, or the folder of a map,
+    a simulated drive or a benchmark's sequence; without --truth the last of them is the truth. They
+    are matched by stamps, else by the frames' names, and aligned; the result is the absolute
+    trajectory error (ATE), the relative pose error (RPE) and whether the covariances are consistent
+    (NEES).
     """
     from slamcli.run.evaluate import EvaluateOptions
     from slamcli.run.evaluate import evaluate as run_evaluate

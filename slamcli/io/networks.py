@@ -23,6 +23,7 @@ from slamcli.core.errors import FrameError, InputError
 from slamcli.core.networks import MatchNetwork, NetworkPoints, PointNetwork
 from slamcli.io import aliked, lightglue, xfeat
 from slamcli.io.files import fault_of_file
+from slamcli.io.read_from_file import ReadFromFile
 from slamcli.io.torch_weights import installed_weights
 
 # The format, a protocol buffer, has no larger files.
@@ -174,7 +175,7 @@ _MAKERS: dict[str, Callable[[Path, tuple[int, int] | None], PointNetwork]] = {
 }
 
 
-class _Points:
+class _Points(ReadFromFile):
     """ALIKED or DISK, run on one picture at a time: OpenCV's networks have a state."""
 
     def __init__(
@@ -185,16 +186,9 @@ class _Points:
         size: tuple[int, int],
         scale: Float64Array,
     ) -> None:
-        self._make = make
-        self._path, self._detector, self._size, self._scale = path, detector, size, scale
+        super().__init__(make, path, size)
+        self._detector, self._size, self._scale = detector, size, scale
         self._lock = threading.Lock()
-
-    def __reduce__(self) -> tuple[object, ...]:
-        # A checkpoint stores the file's path; the network is read from it again.
-        return self._make, (self._path, self._size)
-
-    def __str__(self) -> str:
-        return str(self._path)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -214,18 +208,13 @@ class _Points:
         )
 
 
-class _LightGlue:
+class _LightGlue(ReadFromFile):
     """LightGlue, run on one pair of frames at a time."""
 
     def __init__(self, path: Path, matcher: cv2.LightGlueMatcher) -> None:
-        self._path, self._matcher = path, matcher
+        super().__init__(load_match_network, path)
+        self._matcher = matcher
         self._lock = threading.Lock()
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return load_match_network, (self._path,)
-
-    def __str__(self) -> str:
-        return str(self._path)
 
     def match(
         self,

@@ -13,13 +13,14 @@ import numpy as np
 
 from slamcli.core.arrays import Float32Array
 from slamcli.core.errors import FrameError, InputError
+from slamcli.io.read_from_file import ReadFromFile
 from slamcli.io.torch_weights import read_weights
 
 # Pixels to one of the coarsest level, of every network here.
 _STRIDE = 32
 
 
-class PublishedNetwork(ABC):
+class PublishedNetwork(ReadFromFile, ABC):
     """A network for pictures of one size, run on one at a time: OpenCV's networks have a state.
 
     Parameters
@@ -43,21 +44,15 @@ class PublishedNetwork(ABC):
             raise InputError(
                 f"{self.name} takes sides that are multiples of {_STRIDE}, not {size[0]}x{size[1]}"
             )
+        super().__init__(type(self), path, size)
         weights = read_weights(path, self.weights_in_wheel)
         try:
             content = self._build(weights, size)
             self._network = cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8))
         except (KeyError, ValueError, cv2.error) as error:
             raise InputError(f"{path} has other weights than those of {self.name}") from error
-        self._path, self._size = path, size
+        self._size = size
         self._lock = threading.Lock()
-
-    def __reduce__(self) -> tuple[object, ...]:
-        # A checkpoint stores the file's path; the network is read from it again.
-        return type(self), (self._path, self._size)
-
-    def __str__(self) -> str:
-        return str(self._path)
 
     @property
     def size(self) -> tuple[int, int]:

@@ -18,7 +18,8 @@ from slamcli.io.csv_table import HEADINGS, Table, parse_table
 from slamcli.io.files import read_text, write_text
 from slamcli.io.sequences import has_listed_poses, listed_poses
 
-_TRUTH_OF_FOLDER = "groundtruth"
+# What a folder may stand for: a run's poses, a simulation's truth, that of a benchmark's sequence.
+_OF_FOLDER = ("poses.csv", "truth.csv", "groundtruth*.txt")
 _TUM_FIELDS, _KITTI_FIELDS = 8, 12
 _X, _Y = (
     (
@@ -58,19 +59,18 @@ def read_trajectory(path: Path) -> Trajectory:
       a pose. poses.csv and truth.csv are such files.
     - TUM: eight numbers a line, stamp, x, y, z, and a quaternion x, y, z, w.
     - KITTI: twelve numbers a line, the upper three rows of a pose's matrix.
-
     - HD Ground: a picture's path and nine numbers a line: see `sequences`.
 
-    A folder stands for the ground truth that the sequences of TUM's benchmarks, and those like
-    them, have in it. In TUM and KITTI files z must point up from the floor.
+    A folder stands for the file of poses in it: that of a run of `slam stitch`, of a drive of
+    `slam simulate`, or the ground truth of TUM's benchmarks and those like them. In TUM and KITTI
+    files z must point up from the floor.
 
     Raises
     ------
     InputError
         One line that names the file, and the line of it where there is one.
     """
-    if path.is_dir():
-        path = _truth_of_folder(path)
+    path = poses_file(path)
     text = read_text(path, "poses").removeprefix("\ufeff")
     lines = [
         (number, line)
@@ -95,13 +95,17 @@ def read_trajectory(path: Path) -> Trajectory:
     return _plain(_poses_of_matrices(path, numbers.reshape(-1, 3, 4), lines), None)
 
 
-def _truth_of_folder(folder: Path) -> Path:
-    """Return the file of true poses in a folder; raises InputError where there is not one."""
-    found = sorted(folder.glob(f"{_TRUTH_OF_FOLDER}*.txt"))
+def poses_file(path: Path) -> Path:
+    """Return a file of poses, that of a folder in its place; raises InputError without just one."""
+    if not path.is_dir():
+        return path
+    found = sorted(file for name in _OF_FOLDER for file in path.glob(name))
     if len(found) == 1:
         return found[0]
-    lacking = "no" if not found else "more than one"
-    raise InputError(f"{folder} has {lacking} file {_TRUTH_OF_FOLDER}*.txt; give a file of poses")
+    if found:
+        names = " and ".join(file.name for file in found)
+        raise InputError(f"{path} has several files of poses, {names}; name one of them")
+    raise InputError(f"{path} has no file of poses: {', '.join(_OF_FOLDER)}")
 
 
 def read_path(path: Path) -> list[Pose2]:

@@ -15,7 +15,7 @@ from slamcli.drawing.errors import SUFFIXES, check_plots, plot_errors
 from slamcli.io.error_table import TABLES, table_rows
 from slamcli.io.files import write_bytes, write_text
 from slamcli.io.outputs import refuse_existing
-from slamcli.io.trajectories import read_trajectory
+from slamcli.io.trajectories import poses_file, read_trajectory
 from slamcli.stages.evaluation import error_series
 from slamcli.stages.evaluation import evaluate as evaluate_poses
 
@@ -62,11 +62,13 @@ class EvaluateOptions:
 def evaluate(poses: Sequence[Path], truth: Path, options: EvaluateOptions) -> EvaluateReport:
     """Compare files of poses with a file of true ones, each in any format that can be read.
 
+    A folder stands for the file of poses in it.
+
     Raises
     ------
     InputError, OutputError
     """
-    _check_outputs([*poses, truth], options)
+    _check_outputs([poses_file(path) for path in (*poses, truth)], options)
     true = _read(truth)
     estimates = {str(path): _read(path) for path in poses}
     found = {

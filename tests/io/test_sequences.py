@@ -135,7 +135,7 @@ def test_a_pose_that_is_no_motion_is_refused(hd_ground: Path) -> None:
         read_trajectory(path)
     (hd_ground / "groundtruth_a.txt").write_text("")
     (hd_ground / "groundtruth_b.txt").write_text("")
-    with pytest.raises(InputError, match="more than one file"):
+    with pytest.raises(InputError, match="several files of poses, groundtruth_a"):
         read_trajectory(hd_ground)
 
 

@@ -345,6 +345,19 @@ def test_a_folder_of_tum_stands_for_its_ground_truth(tmp_path: Path) -> None:
     assert "2 poses of 2 true ones" in result.output
 
 
+def test_the_folder_of_a_run_stands_for_its_poses(samples_folder: Path, tmp_path: Path) -> None:
+    course = samples_folder / "course"
+    (tmp_path / "poses.csv").write_bytes((course / "truth.csv").read_bytes())
+    result = run(tmp_path, course)
+    assert result.exit_code == 0, result.output
+    assert "40 poses of 40 true ones" in result.output
+    replacing = run(tmp_path, course, "--table", tmp_path / "poses.csv", "--overwrite")
+    assert "it is an input of this command" in replacing.output
+    (tmp_path / "truth.csv").write_text("")
+    assert "several files of poses, poses.csv and truth.csv" in run(tmp_path, course).output
+    assert "has no file of poses: poses.csv" in run(course / "frames", course).output
+
+
 def test_what_cannot_be_written_is_refused_first(samples_folder: Path, tmp_path: Path) -> None:
     truth = samples_folder / "course" / "truth.csv"
     result = run(truth, truth, "--plot", tmp_path / "out.gif")
