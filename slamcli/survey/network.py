@@ -87,7 +87,7 @@ def rescaled(states: Float64Array) -> Float64Array:
 
 def _spanning_tree(pairs: Sequence[Pair]) -> list[Pair]:
     """Return the strongest pairs that connect all frames without a loop."""
-    strongest = sorted(pairs, key=lambda pair: (-pair.inliers * pair.correlation, pair.a, pair.b))
+    strongest = sorted(pairs, key=lambda pair: (-pair.strength, pair.a, pair.b))
     component: dict[int, set[int]] = {}
     tree = []
     for pair in strongest:

@@ -9,6 +9,7 @@ import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, IntpArray
 from slamcli.core.geometry import apply_homography, invert
+from slamcli.survey import overlap_pixels
 from slamcli.survey.features import SurveyFeatures, rank_in_group
 
 # A descriptor's best match must be nearer than this share of the second best, and be mutual.
@@ -26,7 +27,7 @@ _SIMPLER_FACTOR, _SIMILARITY_SLACK = 1.3, 2.0
 # Of a plausible homography anywhere among its inliers: ratio of the scales in two directions,
 # scale, and ratio of the depths to that in the picture's middle.
 _MAX_STRETCH, _MAX_SCALE, _MAX_DEPTH_RATIO = 2.5, 6.0, 5.0
-_MIN_CORRELATION, _MIN_OVERLAP, _MIN_OVERLAP_PIXELS = 0.15, 0.015, 50
+_MIN_CORRELATION, _MIN_OVERLAP = 0.15, 0.015
 _MAX_MATCHES, _MATCH_CELLS = 150, 12
 
 
@@ -48,6 +49,8 @@ class Pair:
         Of the overlap's pixels, normalised.
     reason : str
         Why the two are not accepted as a pair; empty when they are.
+    unrelated_share : float
+        Estimate of how much of the overlap shows unrelated floor, see `overlap_pixels`.
     """
 
     a: int
@@ -58,6 +61,12 @@ class Pair:
     inliers: int
     correlation: float
     reason: str = ""
+    unrelated_share: float = 0.0
+
+    @property
+    def strength(self) -> float:
+        """Evidence for the pair: the matches that agree, times the pixels' correlation."""
+        return self.inliers * self.correlation
 
     @property
     def median_pixels(self) -> float:
@@ -95,14 +104,16 @@ def find_pair(a: int, b: int, first: SurveyFeatures, second: SurveyFeatures) -> 
     expected = _matches_in_overlap(a_from_b, points_a, points_b, first.size, second.size)
     if count < _INLIER_OFFSET + _INLIER_SHARE * expected:
         return rejected("most matches of the overlap contradict the motion", count)
-    correlation, overlap = _correlation(first, second, a_from_b)
+    correlation, overlap = overlap_pixels.correlation(first, second, a_from_b)
     if overlap < _MIN_OVERLAP:
         return rejected("overlap too small", count, correlation)
-    if correlation < _MIN_CORRELATION:
+    unrelated = overlap_pixels.unrelated_share(first, second, a_from_b)
+    if correlation < _MIN_CORRELATION or unrelated > overlap_pixels.MAX_UNRELATED_SHARE:
         return rejected("pixels of the overlap differ", count, correlation)
     kept = np.flatnonzero(inliers)
     kept = kept[_spread(points_a[kept], first.size)]
-    return Pair(a, b, a_from_b, points_a[kept], points_b[kept], count, correlation)
+    pixels = points_a[kept], points_b[kept]
+    return Pair(a, b, a_from_b, *pixels, count, correlation, unrelated_share=unrelated)
 
 
 def fit_similarity(
@@ -202,25 +213,6 @@ def _matches_in_overlap(
     there = np.abs(apply_homography(a_from_b, points_b)) < np.array(size_a) / 2
     back = np.abs(apply_homography(invert(a_from_b), points_a)) < np.array(size_b) / 2
     return int((there.all(axis=1) & back.all(axis=1)).sum())
-
-
-def _correlation(
-    first: SurveyFeatures, second: SurveyFeatures, a_from_b: Float64Array
-) -> tuple[float, float]:
-    """Return the correlation of the overlap's pixels, and its share of the first picture."""
-    to_first = first.thumbnail_from_image @ a_from_b @ invert(second.thumbnail_from_image)
-    height, width = first.thumbnail.shape
-    warped = cv2.warpPerspective(second.thumbnail, to_first, (width, height))
-    known = (second.thumbnail != 0.0).astype(np.float32)
-    seen = np.asarray(cv2.warpPerspective(known, to_first, (width, height))) > 0.99
-    seen &= first.thumbnail != 0.0
-    count = int(seen.sum())
-    if count < _MIN_OVERLAP_PIXELS:
-        return 0.0, count / (width * height)
-    x, y = first.thumbnail[seen].astype(np.float64), np.asarray(warped, np.float64)[seen]
-    x, y = x - x.mean(), y - y.mean()
-    energy = float(np.sqrt((x @ x) * (y @ y)))
-    return float(x @ y) / max(energy, 1e-9), count / (width * height)
 
 
 def _spread(points: Float64Array, size: tuple[int, int]) -> IntpArray:

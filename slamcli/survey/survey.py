@@ -11,6 +11,7 @@ import numpy as np
 from slamcli.survey import candidates
 from slamcli.survey.bundle import ALL_MATCHES, Bundle, LensFree, adjust
 from slamcli.survey.candidates import NumberPair
+from slamcli.survey.false_pairs import contradicted_overlaps, least_consistent, overlaps
 from slamcli.survey.features import SurveyFeatures
 from slamcli.survey.in_order import InOrder
 from slamcli.survey.lens import Lens, Mount
@@ -88,10 +89,10 @@ def survey(features: Sequence[SurveyFeatures], lens: Lens, in_order: InOrder = m
         new = [pair for pair in found if not pair.reason]
         if maps and not new:
             break
-        maps, off = _solve([*pairs, *new], frames, lens)
+        maps, off = _without_false([*pairs, *new], features, lens)
         contradicted += off
         pairs = [pair for one in maps for pair in one.pairs]
-        predicted = [pair for one in maps for pair in _overlaps(one, features)]
+        predicted = [pair for one in maps for pair in overlaps(one.bundle, one.frames, features)]
         following = candidates.untried(predicted, tried)
         if not following:
             break
@@ -108,10 +109,25 @@ def _pair(features: Sequence[SurveyFeatures], numbers: NumberPair) -> Pair:
     return find_pair(a, b, features[a], features[b])
 
 
-def _overlaps(one: SurveyMap, features: Sequence[SurveyFeatures]) -> list[NumberPair]:
-    homographies = one.bundle.lens.project(one.bundle.states).image_from_map
-    sizes = [features[frame].size for frame in one.frames]
-    return candidates.by_overlap(homographies, one.frames, sizes)
+def _without_false(
+    pairs: Sequence[Pair], features: Sequence[SurveyFeatures], lens: Lens
+) -> tuple[list[SurveyMap], list[Pair]]:
+    """Return the maps that pairs connect, and the pairs that other pairs or pixels contradict.
+
+    False pairs may be more than true ones, and contradict them: without them all others count.
+    """
+    false = list[Pair]()
+    while True:
+        left = [pair for pair in pairs if pair not in false]
+        maps, contradicted = _solve(left, len(features), lens)
+        found = [
+            least_consistent(one.pairs, overlapping)
+            for one in maps
+            if (overlapping := contradicted_overlaps(one.bundle, one.frames, one.pairs, features))
+        ]
+        if not found:
+            return maps, [*contradicted, *false]
+        false += found
 
 
 def _solve(pairs: Sequence[Pair], frames: int, lens: Lens) -> tuple[list[SurveyMap], list[Pair]]:
