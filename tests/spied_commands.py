@@ -45,6 +45,9 @@ class Report(list[str]):
         super().__init__(["a line"])
         self.lines, self.json, self.exit_code = ["a line"], "{}", 0
 
+    def serve(self) -> None:
+        """Show nothing."""
+
 
 @pytest.fixture
 def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, list[Any]]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from slamcli.cli.command import command
+from slamcli.cli.messages import messages, result
 from slamcli.cli.options import common
 from slamcli.cli.options.values import PATH, Whole
 from slamcli.core.bounds import Bounds
@@ -27,8 +28,11 @@ from slamcli.core.bounds import Bounds
     metavar="FILE.rrd",
     help="Write a recording for rerun's viewer instead: floor, path, loops, every frame's picture.",
 )
+@common.json_output
 @common.overwrite
-def view(run: Path, port: int, rerun: Path | None, *, browser: bool, overwrite: bool) -> None:
+def view(
+    run: Path, port: int, rerun: Path | None, *, browser: bool, as_json: bool, overwrite: bool
+) -> None:
     """Show the report of a map in the browser.
 
     RUN is the output folder of `slam stitch`. The report is served to this machine alone, with the
@@ -36,10 +40,10 @@ def view(run: Path, port: int, rerun: Path | None, *, browser: bool, overwrite: 
     """
     from slamcli.run.view import view as run_view
 
+    shown = run_view(run, port=port, browser=browser, rerun=rerun, overwrite=overwrite)
+    result(shown.json if as_json else "\n".join(shown.lines))
     try:
-        run_view(
-            run, port=port, browser=browser, rerun=rerun, overwrite=overwrite, notify=click.echo
-        )
+        shown.serve()
     except KeyboardInterrupt:
         # The way to end it.
-        click.echo("ended")
+        messages().show("ended")

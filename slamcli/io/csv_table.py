@@ -20,7 +20,7 @@ from slamcli.core.errors import InputError
 
 # Endings of the name of a column of angles in degrees.
 _DEGREES = ("_degrees", "_deg")
-HEADINGS = ("heading", "theta", "yaw")
+HEADINGS = ("heading", "theta", "yaw", "pose.orientation.yaw")
 _ROSTOPIC_TIME = "%time"
 # As loggers call them: rostopic, PlotJuggler, phones' sensor loggers, autopilots.
 STAMPS = (
@@ -34,8 +34,13 @@ _NANOSECONDS = (
     *("header.stamp.nanosec", "header.stamp.nsecs", "header.stamp.nsec"),
     *("stamp.nanosec", "stamp.nsecs", "stamp.nsec", "nanosec", "nsecs", "nsec"),
 )
-# What separates the fields; where it is no comma, a comma may be the decimal point.
+# What separates the fields, else spaces; where it is no comma, a comma may be the decimal point.
 _DELIMITERS = ",;\t"
+# Of the day alone, beside one of the time of day; a day whose parts no ISO hyphens separate.
+_DAYS = ("date",)
+_CLOCK = re.compile(r"\d{1,2}:\d\d(:|$)")
+_DAY = re.compile(r"(\d{4})[/.:](\d\d)[/.:](\d\d)(?!\d)")
+_NUMBER = re.compile(r"[-+]?\.?\d")
 # Units in brackets in the name of a column, as endings of it; metres, seconds, radians need none.
 _UNITS = {"deg": "_deg", "degrees": "_deg", "°": "_deg", "µs": "_us"}
 _METRES = {"": 1.0, "_m": 1.0, "_metres": 1.0, "_meters": 1.0, "_cm": 0.01, "_mm": 0.001}
@@ -89,7 +94,9 @@ class Table:
         return tuple(row[column].strip() for row in self.rows)
 
     def _column(self, names: tuple[str, ...]) -> int | None:
-        """Return which column has one of these names, alone or after that of its topic.
+        """Return which column has one of these names; those with a dot also end another name.
+
+        So `pose.x` and `.x` are found as that of a topic, `odom.pose.x`.
 
         Raises
         ------
@@ -99,7 +106,7 @@ class Table:
         column = next((self.header.index(name) for name in names if name in self.header), None)
         if column is not None:
             return column
-        endings = tuple(f".{name}" for name in names if "." in name)
+        endings = tuple(f".{name.lstrip('.')}" for name in names if "." in name)
         found = [one for one in self.header if one.endswith(endings)] if endings else []
         if len(found) > 1:
             raise InputError(f"{self.path} has several columns {names[0]}: {', '.join(found)}")
@@ -151,22 +158,26 @@ class Table:
 
         Numbers are of the unit that the column's name ends in, else by their size seconds, or
         milliseconds, microseconds or nanoseconds since 1970; texts are times of ISO 8601, in UTC
-        unless they say otherwise.
+        unless they say otherwise, whose day may be in a column of its own.
         """
         names = {name + ending: unit for ending, unit in _SECONDS.items() for name in STAMPS}
         found = next((name for name in names if self.has((name,))), None)
         if found is None:
             return self._stamps_in_two(limits)
-        seconds = [_seconds(self._plain(word)) for word in self.words((found,))]
+        words = [self._plain(word) for word in self.words((found,))]
+        if self.has(_DAYS) and all(map(_CLOCK.match, words)):
+            days = self.words(_DAYS)
+            words = [f"{day} {word:0>8}" for day, word in zip(days, words, strict=True)]
+        seconds = [_seconds(word) for word in words]
         known = [abs(value) for value in seconds if value is not None]
         unit = names[found]
         # An exponent has lost the digits of a time.
-        if unit is None and all(map(_DECIMAL.fullmatch, map(self._plain, self.words((found,))))):
+        if unit is None and all(map(_DECIMAL.fullmatch, words)):
             middle = sorted(known)[len(known) // 2] if known else 0
             unit = next((parts for least, parts in _PARTS if middle >= least), 1)
         unit = unit or 1
         values = np.array([math.nan if s is None else float(s / unit) for s in seconds])
-        for index, word in enumerate(self.words((found,))):
+        for index, word in enumerate(words):
             empty = blank and word.lower() in {"", "nan"}
             if not empty and float(values[index]) not in limits:
                 raise InputError(
@@ -204,12 +215,16 @@ class Table:
 def parse_table(path: Path, text: str) -> Table:
     """Return the rows of a CSV text whose first line is the header; empty lines are left out.
 
-    Fields are separated by what the header has most of: commas, semicolons or tabs.
+    Comments, which begin with #, may come before it; the last one is the header where numbers
+    follow. Fields are separated by what the header has most of, commas, semicolons or tabs, else
+    by spaces.
     """
-    text = text.removeprefix("\ufeff")
-    first = next((line for line in text.splitlines() if line.strip()), "")
+    text_lines = _without_comments(io.StringIO(text.removeprefix("\ufeff")).readlines())
+    first = next((line for line in text_lines if line.strip()), "")
     delimiter = max(_DELIMITERS, key=first.count)
-    reader = csv.reader(io.StringIO(text), delimiter=delimiter)
+    if delimiter not in first:
+        delimiter, text_lines = " ", [" ".join(line.split()) for line in text_lines]
+    reader = csv.reader(text_lines, delimiter=delimiter)
     header: tuple[str, ...] = ()
     rows, lines = [], []
     try:
@@ -229,6 +244,18 @@ def parse_table(path: Path, text: str) -> Table:
     except csv.Error as error:
         raise InputError(f"{path}, line {reader.line_num}: not a CSV: {error}") from error
     return Table(path, header, tuple(rows), tuple(lines), delimiter != ",")
+
+
+def _without_comments(lines: list[str]) -> list[str]:
+    """Return lines whose comments before the table are empty, all but one that is its header."""
+    begin = next(
+        (n for n, line in enumerate(lines) if line.strip() and not line.startswith("#")), 0
+    )
+    comments = [number for number in range(begin) if lines[number].startswith("#")]
+    before = [""] * begin
+    if comments and _NUMBER.match(lines[begin].lstrip()):
+        before[comments[-1]] = lines[comments[-1]].lstrip("# ")
+    return before + lines[begin:]
 
 
 def _header(words: Sequence[str]) -> tuple[str, ...]:
@@ -263,7 +290,7 @@ def _seconds(word: str) -> Fraction | None:
     except (ValueError, OverflowError):  # nan and infinity among them
         pass
     try:
-        moment = datetime.fromisoformat(word)
+        moment = datetime.fromisoformat(_DAY.sub(r"\1-\2-\3", word, count=1))
         moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
         return Fraction(moment.timestamp())
     except (ValueError, OverflowError):

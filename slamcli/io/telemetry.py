@@ -47,10 +47,12 @@ from slamcli.io.trajectories import read_trajectory
 _MAX_SPIN_RADIANS_PER_SECOND, _SPIN_PERCENTILE = 10.0, 90.0
 # Clockwise from north, as a hand-held compass reads.
 _BEARINGS = ("bearing", "azimuth")
-_LATITUDES = ("latitude", "lat", "latitude_deg", "lat_deg", "gps_lat", "gps_latitude")
+_LATITUDES = (
+    *("latitude", "lat", "latitude_deg", "lat_deg", "gps_lat", "gps_latitude", ".latitude", ".lat"),
+)
 _LONGITUDES = (
     *("longitude", "lon", "lng", "long", "longitude_deg", "lon_deg", "gps_lon", "gps_long"),
-    "gps_longitude",
+    *("gps_longitude", ".longitude", ".lon"),
 )
 _COMPASS_SIGMAS = ("sigma", "sigma_heading", "sigma_yaw")
 _GPS_SIGMAS = (

@@ -84,6 +84,8 @@ def read_trajectory(path: Path) -> Trajectory:
         if has_listed_poses(lines[0][1]):
             return listed_poses(path, lines)
         return _from_table(parse_table(path, text))
+    if len(first) not in {_TUM_FIELDS, _KITTI_FIELDS} and text.lstrip().startswith("#"):
+        return _from_table(parse_table(path, text))
     if len(first) not in {_TUM_FIELDS, _KITTI_FIELDS}:
         raise InputError(
             f"{path}, line {lines[0][0]}: {len(first)} fields without a header; needed is a CSV "

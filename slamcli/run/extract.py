@@ -85,12 +85,16 @@ def extract(
 
 
 def _write_frame(folder: Path, file: FrameFile) -> None:
-    """Write a picture as it is stored, or pixels as PNG; raises FrameError."""
+    """Write a picture as it is stored, or pixels as PNG; raises FrameError.
+
+    A PNG has its stamp in its name: the photo's notes are lost.
+    """
     content = file.content()
     if isinstance(content, bytes):
         write_bytes(folder / file.name, content)
-    else:
-        write_image(folder / Path(file.name).with_suffix(".png"), content)
+        return
+    name = Path(file.name).stem if file.stamp is None else f"{file.stamp:.6f}"
+    write_image(folder / f"{name}.png", content)
 
 
 def _of_photos(files: Sequence[FrameFile], staging: Path) -> list[str]:
@@ -145,7 +149,7 @@ def _write_gps(path: Path, bag: Path) -> str:
     sigmas = [one.sigma_metres for one in readings]
     write_gps(path, [one.stamp for one in readings], places, sigmas)
     lever = antenna_metres(bag)
-    where = "" if lever is None else f" --lever-arm {lever[0]:.4g},{lever[1]:.4g}"
+    where = "" if lever is None else f" --lever-arm {lever[0]:.9g},{lever[1]:.9g}"
     return f"{len(readings)} readings, for --gps{where}"
 
 

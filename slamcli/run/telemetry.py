@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from slamcli.core.errors import InputError
 from slamcli.core.geometry import pose_array
-from slamcli.core.telemetry import CompassReading, GpsReading, OdometryReading
+from slamcli.core.telemetry import (
+    CompassReading,
+    GpsReading,
+    OdometryReading,
+    TelemetryOptions,
+)
 from slamcli.io.containers.bag import is_bag
-from slamcli.io.containers.bag_readings import reading_topics
+from slamcli.io.containers.bag_readings import antenna_metres, has_readings, reading_topics
 from slamcli.io.telemetry import read_compass, read_gps, read_odometry
 from slamcli.mapping.backend.pose_graph import placed_fragments
 from slamcli.mapping.mapper import Mapper
@@ -70,6 +75,21 @@ def unused_note(sources: Sequence[Path], files: TelemetryFiles) -> str:
                 f"{path.name} also has readings for {', '.join(unused)}: name it there to use them"
             )
     return "\n".join(lines)
+
+
+def with_antenna(options: TelemetryOptions, gps: Path | None) -> tuple[TelemetryOptions, str]:
+    """Return the options with the antenna's place that the bag of GPS readings has, and a note.
+
+    They are as they were, and the note is empty, where a lever arm is given or none is known.
+    """
+    given = options.lever_arm_metres != TelemetryOptions().lever_arm_metres
+    if gps is None or given or not has_readings(gps):
+        return options, ""
+    lever = antenna_metres(gps)
+    if lever is None:
+        return options, ""
+    note = f"{gps.name} has the antenna's place: --lever-arm {lever[0]:.9g},{lever[1]:.9g}"
+    return replace(options, lever_arm_metres=lever), note
 
 
 def read_telemetry(

@@ -6,13 +6,14 @@ import base64
 import json
 import re
 import webbrowser
-from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from slamcli.core.errors import InputError
 from slamcli.io.files import read_text
 from slamcli.io.loopback import Answer, LoopbackServer
 from slamcli.io.raster.deepzoom import read_position
+from slamcli.run.command_report import Report
 from slamcli.run.report import REPORT_NAME
 from slamcli.run.rerun_export import export_rerun
 
@@ -25,6 +26,30 @@ _NOTHING = base64.b64decode(
 )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class View(Report):
+    """The address of a report, or what a recording has.
+
+    Attributes
+    ----------
+    server : LoopbackServer or None
+        Of the report.
+    browser : bool
+        Open it in the user's browser.
+    """
+
+    server: LoopbackServer | None = None
+    browser: bool = False
+
+    def serve(self) -> None:
+        """Serve the report, if there is one to serve, until the user interrupts."""
+        if self.server is None:
+            return
+        if self.browser:
+            webbrowser.open(self.server.address)
+        self.server.serve()
+
+
 def view(
     run: Path,
     *,
@@ -32,9 +57,8 @@ def view(
     browser: bool,
     rerun: Path | None = None,
     overwrite: bool = False,
-    notify: Callable[[str], None],
-) -> None:
-    """Serve the report of a run on this machine until the user interrupts.
+) -> View:
+    """Open a server of a run's report on this machine, or write a recording of the run.
 
     Parameters
     ----------
@@ -46,21 +70,18 @@ def view(
         Write a recording for rerun's viewer instead.
     overwrite : bool
         Replace an earlier recording.
-    notify : callable
-        Takes the line with the address, or on the recording.
 
     Raises
     ------
     InputError, MapError, OutputError
     """
     if rerun is not None:
-        notify("\n".join(export_rerun(run, rerun, overwrite=overwrite)))
-        return
+        lines = export_rerun(run, rerun, overwrite=overwrite)
+        return View(tuple(lines), {"recording": rerun, "notes": lines[:-1]})
     server = open_server(run, port)
-    notify(f"{server.address} shows {run}; Ctrl-C ends it")
-    if browser:
-        webbrowser.open(server.address)
-    server.serve()
+    line = f"{server.address} shows {run}; Ctrl-C ends it"
+    facts = {"address": server.address, "run": run}
+    return View((line,), facts, server=server, browser=browser)
 
 
 def open_server(run: Path, port: int = 0) -> LoopbackServer:

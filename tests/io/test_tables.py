@@ -30,6 +30,11 @@ def written(folder: Path, text: str, encoding: str = "utf-8") -> Path:
         "\ufeffTime [s], Latitude (deg), Longitude (°)\r\n1.5,52.25,13.5\r\n2.5,52.5,13.75\r\n",
         "time_ms,lat,lon\n1500,52.25,13.5\n2500,52.5,13.75\n",
         "timestamp (ns),gps_lat,gps_lon\n1500000000,52.25,13.5\n2500000000,52.5,13.75\n",
+        "# of a rover, by hand\n#stamp,lat,lon\n1.5,52.25,13.5\n2.5,52.5,13.75\n",
+        "# of a rover, by hand\n\nstamp,lat,lon\n1.5,52.25,13.5\n2.5,52.5,13.75\n",
+        "stamp lat  lon\n1.5 52.25  13.5\n2.5 52.5  13.75\n",
+        "__time,/fix/altitude,/fix/latitude,/fix/longitude\n1.5,4,52.25,13.5\n2.5,4,52.5,13.75\n",
+        "elapsed,gps.lat,gps.lon\n1.5,52.25,13.5\n2.5,52.5,13.75\n",
     ],
 )
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
@@ -61,6 +66,14 @@ def test_times_are_read_whatever_they_are_written_in(
     text = "field.header.stamp,heading\n" + "".join(f"{stamp},0.5\n" for stamp in stamps)
     readings = read_compass(written(tmp_path, text))
     assert [one.stamp for one in readings] == [NOON, NOON + 0.25]
+
+
+@pytest.mark.parametrize("day", ["2024-05-06", "2024/05/06"])
+def test_day_and_time_may_be_two_columns(tmp_path: Path, day: str) -> None:
+    path = written(tmp_path, f"Date,Time,heading\n{day},12:00:00,0.5\n{day},12:00:00.25,0.5\n")
+    assert [one.stamp for one in read_compass(path)] == [NOON, NOON + 0.25]
+    (one,) = read_compass(written(tmp_path, f"time,heading\n{day} 12:00:00.25,0.5\n"))
+    assert one.stamp == NOON + 0.25
 
 
 def test_orientations_may_be_quaternions(tmp_path: Path) -> None:
@@ -97,6 +110,13 @@ def test_orientations_may_be_quaternions(tmp_path: Path) -> None:
         ("t;x_mm;y_mm;yaw_deg", "2,25;1500,0;-2500,0;0"),
         ("t,x [cm],y [cm],yaw [rad]", "2.25,150,-250,0"),
         ("time,x_m,y_m,heading_degrees", "2.25,1.5,-2.5,0"),
+        (
+            "__time,/odom/pose/pose/position/x,/odom/pose/pose/position/y,"
+            "/odom/pose/pose/orientation/yaw,/imu/orientation/yaw",
+            "2.25,1.5,-2.5,0,3",
+        ),
+        ("#stamp,x,y,theta", "2.25,1.5,-2.5,0"),
+        ("t x y yaw", "2.25 1.5 -2.5 0"),
     ],
 )
 def test_odometry_is_read_as_loggers_write_it(tmp_path: Path, header: str, row: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import json
 import sys
 import threading
 import types
@@ -80,8 +81,9 @@ def test_a_recording_for_rerun_has_the_map_and_the_frames(
     monkeypatch.setitem(sys.modules, "rerun", module)
     monkeypatch.setattr(rerun_recording, "find_spec", lambda _: module)
     assert slam("stitch", drive, "-o", tmp_path / "out").exit_code == 0
-    result = slam("view", tmp_path / "out", "--rerun", tmp_path / "out.rrd")
+    result = slam("view", tmp_path / "out", "--rerun", tmp_path / "out.rrd", "--json")
     assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["recording"] == str(tmp_path / "out.rrd")
     assert (tmp_path / "out.rrd").read_bytes() == b"recorded"
     names = [name for name, _ in logged]
     assert names.count("camera") == 5

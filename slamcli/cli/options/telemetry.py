@@ -54,7 +54,8 @@ _details = expert(
         "lever_arm_metres",
         "--lever-arm",
         Numbers("AHEAD,LEFT|auto", 2, auto=True),
-        "Metres from the robot's origin to the GPS antenna; auto estimates them.",
+        "Metres from the robot's origin to the GPS antenna; auto estimates them. Of a bag by its "
+        "static transforms, if it has them.",
     ),
     option(
         _TELEMETRY,

@@ -109,7 +109,7 @@ def _parent(topic: str, levels: int = 1) -> str:
 def antenna_metres(path: Path) -> tuple[float, float] | None:
     """Return where the antenna is, metres ahead and left of the robot, by the static transforms.
 
-    None where the bag does not have them. Raises InputError.
+    To the micrometre; None where the bag does not have them. Raises InputError.
     """
     path, named = split_topic(path)
     bag = Bag(path)
@@ -124,7 +124,8 @@ def antenna_metres(path: Path) -> tuple[float, float] | None:
     # A circle of parents ends after as many steps as there are frames.
     for _ in range(len(parents) + 1):
         if frame in _ROBOT_FRAMES:
-            return float(frame_from_antenna[0, 3]), float(frame_from_antenna[1, 3])
+            ahead, left = frame_from_antenna[:2, 3].round(6).tolist()
+            return ahead, left
         if frame not in parents:
             return None
         frame, step = parents[frame]

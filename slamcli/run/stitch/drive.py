@@ -24,7 +24,14 @@ from slamcli.run.stitch import exports
 from slamcli.run.stitch.extend import open_extension
 from slamcli.run.stitch.options import StitchOptions
 from slamcli.run.stitch.static_light import without_static_light
-from slamcli.run.telemetry import Telemetry, TelemetryFiles, feed, read_telemetry, unused_note
+from slamcli.run.telemetry import (
+    Telemetry,
+    TelemetryFiles,
+    feed,
+    read_telemetry,
+    unused_note,
+    with_antenna,
+)
 from slamcli.selfcal import RegisteredDrive, SelfCalibration
 
 
@@ -174,7 +181,9 @@ def open_drive(
             session.progress,
         )
         unused = unused_note(sources, telemetry_files)
-        inputs = replace(inputs, note="\n".join(filter(None, (inputs.note, unused))))
+        telemetry_options, antenna = with_antenna(options.telemetry, telemetry_files.gps)
+        options = replace(options, telemetry=telemetry_options)
+        inputs = replace(inputs, note="\n".join(filter(None, (inputs.note, unused, antenna))))
     else:
         _check_extension(options, calibration_path, telemetry_files)
         extension = open_extension(options.extend, sources, options.frame_rate)

@@ -9,12 +9,15 @@ import cv2
 import numpy as np
 import pillow_heif
 import pytest
+from command_line import slam
+from photo_files import exif_of
 from PIL import Image
 
 from slamcli.core.errors import FrameError, InputError
 from slamcli.io.containers import heic, pages
 from slamcli.io.frames import list_frames, read_frame
 from slamcli.io.images.unread import unread_note
+from slamcli.io.telemetry import read_gps
 from slamcli.run.inputs import open_inputs
 
 pillow_heif.register_heif_opener()
@@ -110,6 +113,20 @@ def test_a_heic_photo_is_read(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:300])
     with pytest.raises(FrameError, match="damaged"):
         read_frame(list_frames([path])[0])
+
+
+def test_extracted_heic_photos_keep_the_stamps_of_their_places(tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    for number, picture in enumerate(noise(3)):
+        exif = exif_of(time=f"2024:05:06 12:00:0{number}", place=(52.0, 13.0 + number, 30.0))
+        path = tmp_path / "photos" / f"IMG_{number}.heic"
+        Image.fromarray(picture).save(path, format="HEIF", exif=exif)
+    result = slam("extract", tmp_path / "photos", "-o", tmp_path / "files")
+    assert result.exit_code == 0, result.output
+    files = list_frames([tmp_path / "files" / "frames"])
+    places = read_gps(tmp_path / "files" / "gps.csv")
+    assert len(files) == 3
+    assert [file.stamp for file in files] == [one.stamp for one in places]
 
 
 def test_without_pillow_heif_the_extra_is_named(

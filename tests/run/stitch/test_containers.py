@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,9 +15,10 @@ from worlds import CAMERA, make_photographer, take
 
 import slamcli
 from slamcli.core.geometry import Pose2
+from slamcli.core.telemetry import TelemetryOptions
 from slamcli.io.calibrations import load_intrinsics, save_calibration
 from slamcli.io.telemetry import read_compass, read_gps, read_odometry
-from slamcli.run.telemetry import TelemetryFiles, unused_note
+from slamcli.run.telemetry import TelemetryFiles, unused_note, with_antenna
 from slamcli.simulation import photograph
 
 POSES = [Pose2(0.03 * k, 0.0, 0.05 * k) for k in range(6)]
@@ -160,6 +162,17 @@ def test_readings_of_a_bag_that_no_option_names_are_listed(tmp_path: Path) -> No
     assert unused_note([path], TelemetryFiles(compass=path)) == ""
     listed = "drive.bag also has readings for --compass (/imu): name it there to use them"
     assert unused_note([path, tmp_path], TelemetryFiles(gps=path)) == listed
+
+
+def test_the_antenna_is_where_the_transforms_of_a_bag_say(bag: Path) -> None:
+    options = TelemetryOptions()
+    found, note = with_antenna(options, Path(f"{bag}:/fix"))
+    assert found.lever_arm_metres == (0.3, -0.1)
+    assert note.endswith("--lever-arm 0.3,-0.1")
+    for given in (replace(options, lever_arm_metres=None), replace(found, lever_arm_metres=(1, 2))):
+        assert with_antenna(given, bag) == (given, "")
+    for gps in (None, bag.parent / "gps.csv"):
+        assert with_antenna(options, gps) == (options, "")
 
 
 def test_one_time_step_is_given_once(drive: Path) -> None:
