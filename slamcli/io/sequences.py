@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import re
+import stat
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -108,12 +109,20 @@ def _listed(path: Path, number: int, line: str) -> Listed:
     folders = (path.parent, path.parent / _PICTURES, path.parent.parent)
     places = [folder / name.replace("\\", "/") for folder in folders]
     try:
-        found = next((place for place in places if place.is_file()), None)
+        found = next((place for place in places if _is_file(place)), None)
     except OSError as error:
         raise InputError(f"{path}, line {number}: {error.strerror or error}") from error
     if found is None:
         raise InputError(f"{path}, line {number}: {name} does not exist")
     return Listed(found, None, _stamp(path, number, words[0]) if stamped else None)
+
+
+def _is_file(path: Path) -> bool:
+    """Return whether a file is there; raises OSError, unlike `Path`, where none can be."""
+    try:
+        return stat.S_ISREG(path.stat().st_mode)
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        return False
 
 
 def _picture(line: str) -> str:
