@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from functools import partial
 
-from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.calibration import Calibration, Rocking
 from slamcli.core.camera.footprint import MAX_REGISTRATION_PIXELS, check_metres_per_pixel
+from slamcli.core.camera.mounting import rocked
+from slamcli.core.camera.resolution import resolution_image
 from slamcli.core.config import MapperOptions
 from slamcli.core.deferred import Deferred
 from slamcli.core.errors import FrameError
 from slamcli.core.failures import FAILURES, logged
-from slamcli.core.geometry import Grid
+from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Frame, PreparedFrame
 from slamcli.mapping.frame_checks import checked_frame, refused
 from slamcli.registration.preparation import assemble
@@ -57,11 +59,19 @@ class Preprocessor:
         """Of the near view, in the robot frame."""
         return self._resamplers[0].grid
 
-    def prepare(self, frame: Frame) -> PreparedFrame:
-        """Return the prepared frame, or one with the reason why it cannot be used; never raises."""
+    def prepare(self, frame: Frame, rocking: Rocking | None = None) -> PreparedFrame:
+        """Return the prepared frame, or one with the reason why it cannot be used; never raises.
+
+        Parameters
+        ----------
+        frame : Frame
+        rocking : Rocking or None
+            Its pitch, roll and height beside the calibration, where they are known.
+        """
         try:
             frame = checked_frame(frame, self._calibration)
-            views = view.make_compared_views(frame, self._resamplers)
+            resamplers = self._resamplers if rocking is None else [self._of_rocked(rocking)]
+            views = view.make_compared_views(frame, resamplers)
             near = views[0]
             view.check_view(near)
             extraction = Deferred(
@@ -69,10 +79,16 @@ class Preprocessor:
                     features.extract, near, self._calibration, self._features, self._tilt_radians
                 )
             )
-            # With a mask of its own, a frame's views have other masks than the camera's.
-            return assemble(frame, views, extraction, self._masks if frame.mask is None else None)
+            # With a mask or a tilt of its own, a frame's views have other masks than the camera's.
+            shared = rocking is None and frame.mask is None
+            return assemble(frame, views, extraction, self._masks if shared else None)
         except FrameError as error:
             reason = str(error)
         except FAILURES as error:
             reason = f"cannot be processed: {logged(error)}"
         return refused(frame, reason)
+
+    def _of_rocked(self, rocking: Rocking) -> view.Resampler:
+        """Return the resampler of a frame's own pitch, roll and height, for the camera's grid."""
+        own = rocked(self._calibration, rocking)
+        return view.make_resampler(own, resolution_image(own), self.grid, Pose2())

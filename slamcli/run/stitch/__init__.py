@@ -27,6 +27,7 @@ from slamcli.run.stitch import (
 )
 from slamcli.run.stitch.drive import Drive, LocatedDrive, open_drive
 from slamcli.run.stitch.ground_scale import read_control, with_metres
+from slamcli.run.stitch.keyframes import with_keyframes
 from slamcli.run.stitch.options import StitchOptions
 from slamcli.run.stitch.timing import TIMING_NAME, Timing
 from slamcli.run.telemetry import TelemetryFiles
@@ -181,7 +182,8 @@ def write(located: LocatedDrive, staging: Path, checkpoint: Checkpoint, session:
         save_calibration(staging / "calibration.yaml", located.calibration)
     if registered.floor_map is not None:
         sources = tuple(located.drive.sources)
-        floor_map = replace(registered.floor_map, sources=sources, selection=options.selection)
+        floor_map = with_keyframes(registered.floor_map, located, session)
+        floor_map = replace(floor_map, sources=sources, selection=options.selection)
         floor_map = replace(floor_map, datums=tuple(exports.datums(located.georeferences).items()))
         save_map(staging / MAP_NAME, floor_map)
     exports.write_exports(
