@@ -44,7 +44,7 @@ def plot_errors(series: Sequence[ErrorSeries], truth: Float64Array, suffix: str)
     way, error, heading = figure.subplot_mosaic(
         [["way", "way"], ["error", "heading"]], height_ratios=[1.35, 1.0]
     ).values()
-    way.plot(truth[:, 0], truth[:, 1], color="black", linewidth=1.0, label="truth")
+    way.plot(truth[:, 0], truth[:, 1], color="0.75", linewidth=4.0, label="truth")
     for number, one in enumerate(series):
         colour = _COLOURS[number % len(_COLOURS)]
         marker = "." if len(one.errors_metres) <= _MAX_MARKED else ""

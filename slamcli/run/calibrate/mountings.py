@@ -170,7 +170,7 @@ def describe(result: Result) -> list[str]:
         f"{result.photo.name}: {target.name}, corners {corner_text(target.outline)}",
         f"{focal if mounting.sigmas[0] > 0 else ''}height {1000 * calibration.height_metres:.1f} ± "
         f"{1000 * mounting.sigmas[1]:.1f} mm, pitch {np.degrees(calibration.pitch_radians):.2f} ± "
-        f"{sigma[0]:.2f}°, roll {np.degrees(calibration.roll_radians):.2f} ± {sigma[1]:.2f}°",
+        f"{sigma[0]:.2f}°, roll {np.degrees(calibration.roll_radians):z.2f} ± {sigma[1]:.2f}°",
         f"one pixel covers, mm of floor along x across the line of sight: {sampling}",
         f"floor kept: {result.area:.3f} m², {result.near_metres:.2f} to "
         f"{calibration.max_range_metres:.2f} m; ORB points in it: {result.feature_count}",

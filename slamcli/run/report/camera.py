@@ -37,8 +37,8 @@ def _values(camera: Calibration) -> dict[str, str]:
         "principal point": f"{matrix[0, 2]:.1f}, {matrix[1, 2]:.1f} px",
         "radial distortion k1, k2": ", ".join(lens),
         "height": f"{camera.height_metres:.4f} {camera.unit}",
-        "pitch": f"{math.degrees(camera.pitch_radians):.2f}°",
-        "roll": f"{math.degrees(camera.roll_radians):.2f}°",
+        "pitch": f"{math.degrees(camera.pitch_radians):z.2f}°",
+        "roll": f"{math.degrees(camera.roll_radians):z.2f}°",
         "range": f"{camera.max_range_metres:.2f} {camera.unit}",
     }
 
