@@ -89,6 +89,10 @@ class Preprocessor:
         return refused(frame, reason)
 
     def _of_rocked(self, rocking: Rocking) -> view.Resampler:
-        """Return the resampler of a frame's own pitch, roll and height, for the camera's grid."""
+        """Return the resampler of a frame's own pitch, roll and height, for the camera's grid.
+
+        The resolution is the camera's, which differs little and takes long to compute.
+        """
+        resolution = resolution_image(self._calibration)
         own = rocked(self._calibration, rocking)
-        return view.make_resampler(own, resolution_image(own), self.grid, Pose2())
+        return view.make_resampler(own, resolution, self.grid, Pose2())
