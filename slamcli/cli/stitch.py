@@ -44,9 +44,10 @@ _camera = section(
         _stitch(
             "mount",
             "--mount",
-            click.Choice(["auto", "rigid", "free"]),
+            click.Choice(["auto", "rigid", "gimbal", "hand"]),
             "How the camera is carried: rigid, as on a robot (without a calibration: at one height "
-            "and straight down); free, with height and tilt that vary, as by hand; auto finds out.",
+            "and straight down); gimbal, with a height that varies; hand, with a height and a tilt "
+            "that vary; auto finds out.",
             default="auto",
         ),
     ),

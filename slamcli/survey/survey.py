@@ -62,7 +62,13 @@ class Survey:
     rejected: tuple[Pair, ...]
 
 
-def survey(features: Sequence[SurveyFeatures], lens: Lens, in_order: InOrder = map) -> Survey:
+def survey(
+    features: Sequence[SurveyFeatures],
+    lens: Lens,
+    in_order: InOrder = map,
+    *,
+    level: bool = False,
+) -> Survey:
     """Return the maps that frames connect to.
 
     Parameters
@@ -73,6 +79,8 @@ def survey(features: Sequence[SurveyFeatures], lens: Lens, in_order: InOrder = m
         First guess.
     in_order : callable
         Like `map`; may work ahead.
+    level : bool
+        The camera does not tilt, as on a gimbal.
     """
     frames = len(features)
     compared = candidates.compared(frames)
@@ -89,7 +97,7 @@ def survey(features: Sequence[SurveyFeatures], lens: Lens, in_order: InOrder = m
         new = [pair for pair in found if not pair.reason]
         if maps and not new:
             break
-        maps, off = _without_false([*pairs, *new], features, lens)
+        maps, off = _without_false([*pairs, *new], features, lens, level=level)
         contradicted += off
         pairs = [pair for one in maps for pair in one.pairs]
         predicted = [pair for one in maps for pair in overlaps(one.bundle, one.frames, features)]
@@ -110,7 +118,7 @@ def _pair(features: Sequence[SurveyFeatures], numbers: NumberPair) -> Pair:
 
 
 def _without_false(
-    pairs: Sequence[Pair], features: Sequence[SurveyFeatures], lens: Lens
+    pairs: Sequence[Pair], features: Sequence[SurveyFeatures], lens: Lens, *, level: bool
 ) -> tuple[list[SurveyMap], list[Pair]]:
     """Return the maps that pairs connect, and the pairs that other pairs or pixels contradict.
 
@@ -119,7 +127,7 @@ def _without_false(
     false = list[Pair]()
     while True:
         left = [pair for pair in pairs if pair not in false]
-        maps, contradicted = _solve(left, len(features), lens)
+        maps, contradicted = _solve(left, len(features), lens, level=level)
         found = [
             least_consistent(one.pairs, overlapping)
             for one in maps
@@ -130,7 +138,9 @@ def _without_false(
         false += found
 
 
-def _solve(pairs: Sequence[Pair], frames: int, lens: Lens) -> tuple[list[SurveyMap], list[Pair]]:
+def _solve(
+    pairs: Sequence[Pair], frames: int, lens: Lens, *, level: bool
+) -> tuple[list[SurveyMap], list[Pair]]:
     """Return the maps that pairs connect, and the pairs that the others contradict."""
     maps, contradicted = [], list[Pair]()
     left = [members for members in connected(pairs, frames) if len(members) > 1]
@@ -138,7 +148,7 @@ def _solve(pairs: Sequence[Pair], frames: int, lens: Lens) -> tuple[list[SurveyM
         members = left.pop(0)
         inside = set(members)
         own = [pair for pair in pairs if pair.a in inside and pair not in contradicted]
-        solved, off = _solve_connected(own, members, lens)
+        solved, off = _solve_connected(own, members, lens, level=level)
         contradicted += off
         if solved is None:
             parts = connected([pair for pair in own if pair not in off], frames)
@@ -175,7 +185,7 @@ def _sharpened(
 
 
 def _solve_connected(
-    pairs: list[Pair], members: list[int], lens: Lens
+    pairs: list[Pair], members: list[int], lens: Lens, *, level: bool
 ) -> tuple[SurveyMap | None, list[Pair]]:
     """Return the map of connected frames, and the pairs left out.
 
@@ -185,10 +195,13 @@ def _solve_connected(
     states = first_states(pairs, members, lens)
     for _ in range(_OUTLIER_ROUNDS):
         bundle = adjust(pairs, members, states, lens, _FIRST_MOUNT)
-        bundle = adjust(pairs, members, rescaled(bundle.states), bundle.lens, _LOOSE_MOUNT)
+        loose = _FIRST_MOUNT if level else _LOOSE_MOUNT
+        bundle = adjust(pairs, members, rescaled(bundle.states), bundle.lens, loose)
         for _ in range(_LEARNING_ROUNDS):
             states = rescaled(bundle.states)
-            bundle = adjust(pairs, members, states, bundle.lens, learned_mount(bundle))
+            mount = learned_mount(bundle)
+            mount = replace(mount, tilt_sigma=0.0) if level else mount
+            bundle = adjust(pairs, members, states, bundle.lens, mount)
         off = _outliers(bundle, pairs)
         if not off:
             break
@@ -208,7 +221,7 @@ def _with_focal(bundle: Bundle, pairs: Sequence[Pair], members: Sequence[int]) -
     matches do not agree, the floor has relief, which would give any focal length.
     """
     mount, prior = bundle.mount, bundle.lens.prior
-    if prior is None or prior.focal_sigma == 0.0:
+    if prior is None or prior.focal_sigma == 0.0 or mount.tilt_sigma == 0.0:
         return bundle
     loose = replace(mount, tilt_sigma=_LOOSER * mount.tilt_sigma)
     states = rescaled(bundle.states)

@@ -146,7 +146,7 @@ CHANGED = [
     "--filter",
     "cross-check",
     "--mount",
-    "free",
+    "hand",
     "--threshold",
     "0.012",
 ]

@@ -199,3 +199,15 @@ def test_pictures_of_other_sizes_lie_on_one_canvas() -> None:
     assert mask is not None
     assert mask[40, 40] == 255
     assert mask[40, 2] == 0
+
+
+def test_a_level_camera_has_no_tilt(flight: tuple[Float64Array, list[UInt8Array]]) -> None:
+    states = flight[0][:6].copy()
+    states[:, 4:] = 0.0
+    features = [survey_features(one) for one in photographs(floor_picture(), states)]
+    guess = 1.3 * FOCAL
+    lens = Lens(guess, 0.0, RADIUS, LensPrior(math.log(guess), 0.5))
+    found = survey(features, lens, level=True).maps[0].bundle
+    assert not found.states[:, 4:].any()
+    np.testing.assert_allclose(np.diff(found.states[:, 3]), np.diff(states[:, 3]), atol=0.002)
+    assert trajectory_error(found.states[:, :2], states[:, :2]) < 0.2

@@ -50,7 +50,7 @@ def locate_frames(drive: Drive, checkpoint: Checkpoint, session: Session) -> Loc
     if may_be_survey and not drive.mapper.frame_count:
         found = survey.probe(drive.inputs.files, session)
         flown = on_earth.geotagged(drive.inputs.files)
-        if found.free or found.apart or flown or drive.options.mount == "free":
+        if found.free or found.apart or flown or drive.options.moves_freely:
             return _locate_uncalibrated(drive, found, checkpoint, session)
     if rocking.may_rock(drive):
         return _locate_calibrated(drive, checkpoint, session)
@@ -73,7 +73,7 @@ def _locate_calibrated(drive: Drive, checkpoint: Checkpoint, session: Session) -
     The second is looked for where many of the first frames are lost, and at the end.
     """
     files, start = drive.inputs.files, None
-    looked = drive.options.mount == "free" or drive.options.unordered
+    looked = drive.options.moves_freely or drive.options.unordered
     for count in _FRAMES_TO_LOOK_AGAIN:
         if looked or count >= len(files) or count <= drive.mapper.frame_count:
             continue

@@ -147,7 +147,7 @@ def with_camera(drive: Drive, camera: ObliqueCamera, size: tuple[int, int]) -> D
     if camera.reason:
         raise InputError(
             "without a calibration these frames cannot be mapped: the camera looks ahead, and "
-            f"{camera.reason}; calibrate it (slam calibrate), or give --mount free if they are "
+            f"{camera.reason}; calibrate it (slam calibrate), or give --mount hand if they are "
             "from above"
         )
     options = replace(drive.options, self_calibrate="always")

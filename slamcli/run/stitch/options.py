@@ -10,7 +10,7 @@ from slamcli.core.config import FrameSelection, MapperOptions, ProductOptions
 from slamcli.core.telemetry import TelemetryOptions
 from slamcli.run.networks import NO_NETWORKS, NetworkFiles
 
-Mount = Literal["auto", "rigid", "free"]
+Mount = Literal["auto", "rigid", "gimbal", "hand"]
 SelfCalibrate = Literal["auto", "always", "never"]
 
 
@@ -42,8 +42,8 @@ class StitchOptions:
     selection : FrameSelection
         Which frames of a video are used.
     mount : str
-        How the camera is carried: ``rigid`` leaves it three degrees of freedom, ``free`` six;
-        ``auto`` finds out.
+        How the camera is carried: ``rigid`` leaves it three degrees of freedom, ``gimbal`` its
+        height too, ``hand`` six; ``auto`` finds out.
     unordered : bool
         The frames come in no order: pairs are found by appearance alone.
     intrinsics_path : Path or None
@@ -87,3 +87,13 @@ class StitchOptions:
     extend: Path | None = None
     resume: bool = False
     strict: bool = False
+
+    @property
+    def moves_freely(self) -> bool:
+        """Whether the mount is given as one that is not rigid."""
+        return self.mount in {"gimbal", "hand"}
+
+    @property
+    def level(self) -> bool:
+        """Whether the mount is given as one that does not tilt."""
+        return self.mount == "gimbal"

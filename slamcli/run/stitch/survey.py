@@ -133,7 +133,9 @@ def locate_survey(
     features = [on_canvas(one, canvas) for one in described]
     known = drive.intrinsics
     lens = _lens(files, canvas) if known is None else known_lens(known)
-    found = survey(features, lens, partial(session.stage, "comparing frames"))
+    found = survey(
+        features, lens, partial(session.stage, "comparing frames"), level=drive.options.level
+    )
     camera = _camera(canvas, found) if known is None else _with_lens(known)
     return _surveyed(found, files, described, drive, camera)
 
@@ -150,7 +152,9 @@ def locate_calibrated(
         *inputs.files[len(described) :],
     ]
     lens = calibrated_lens(inputs.calibration)
-    found = survey(features, lens, partial(session.stage, "comparing frames"))
+    found = survey(
+        features, lens, partial(session.stage, "comparing frames"), level=drive.options.level
+    )
     return _surveyed(found, files, described, drive, inputs.calibration)
 
 

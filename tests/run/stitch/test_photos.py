@@ -149,7 +149,7 @@ def test_heights_alone_give_the_scale(flight: tuple[Path, np.ndarray], tmp_path:
             exif_of(focal_35mm=round(FOCAL_35MM)),
             {"RelativeAltitude": f"{height:+.2f}"},
         )
-    result = slam("stitch", tmp_path / "photos", "-o", tmp_path / "map", "--mount", "free")
+    result = slam("stitch", tmp_path / "photos", "-o", tmp_path / "map", "--mount", "hand")
     assert result.exit_code == 0, result.output
     assert "m a pixel by the heights of the photos" in result.output
     rows = read_rows(tmp_path / "map" / "poses.csv")
