@@ -28,6 +28,7 @@ _NAMES = {
     "slamcli.io.map_file": "load_map",
     "slamcli.mapping.localizer": "Follower Locator",
     "slamcli.mapping.mapper": "Mapper",
+    "slamcli.mapping.self_calibration": "self_calibrate",
 }
 _MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
 

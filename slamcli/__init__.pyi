@@ -24,5 +24,6 @@ from slamcli.io.map_file import load_map as load_map
 from slamcli.mapping.localizer import Follower as Follower
 from slamcli.mapping.localizer import Locator as Locator
 from slamcli.mapping.mapper import Mapper as Mapper
+from slamcli.mapping.self_calibration import self_calibrate as self_calibrate
 
 __version__: str

@@ -12,6 +12,7 @@ from slamcli.core.errors import FrameError
 from slamcli.core.records import Frame, PreparedFrame
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.mapping.mapper import Mapper
+from slamcli.mapping.self_calibration import registration_of
 from slamcli.run.paint.thumbnails import Thumbnails
 from slamcli.run.session.session import Session
 from slamcli.selfcal import RegisteredDrive
@@ -82,14 +83,3 @@ def register(
         pass
     finish(mapper, files, session)
     return registration_of(mapper)
-
-
-def registration_of(mapper: Mapper) -> RegisteredDrive:
-    """Return the poses, links and map of a mapper after the last frame."""
-    return RegisteredDrive(
-        mapper.calibration,
-        mapper.estimates,
-        mapper.links,
-        mapper.switched_off,
-        mapper.floor_map(),
-    )

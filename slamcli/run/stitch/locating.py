@@ -11,7 +11,8 @@ from slamcli.core.records import PreparedFrame
 from slamcli.io.checkpoints import Checkpoint
 from slamcli.io.frames import FrameFile, of_camera
 from slamcli.mapping.backend.pose_graph import placed_fragments
-from slamcli.run.frame_loop import finish, registration_of, run_mapper
+from slamcli.mapping.self_calibration import registration_of
+from slamcli.run.frame_loop import finish, run_mapper
 from slamcli.run.paint.thumbnails import Thumbnails
 from slamcli.run.session.session import Session
 from slamcli.run.stitch import (

@@ -1,0 +1,51 @@
+"""Self-calibration in the library: a finished mapper's camera and map refined by its frames."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from worlds import make_photographer, take
+
+import slamcli
+from slamcli.core.camera.calibration import Calibration
+from slamcli.core.camera.mounting import compose_robot_from_image
+from slamcli.io.map_file import save_map
+
+
+def with_longer_focal_length(true: Calibration, factor: float) -> Calibration:
+    matrix = true.camera_matrix @ np.diag([factor, factor, 1.0])
+    mounting = true.height_metres, true.pitch_radians, true.roll_radians, true.ahead_radians
+    return replace(
+        true, camera_matrix=matrix, robot_from_image=compose_robot_from_image(matrix, *mounting)
+    )
+
+
+@pytest.mark.slow
+def test_a_wrong_focal_length_is_found_by_the_frames(tmp_path: Path) -> None:
+    photographer = make_photographer()
+    true = photographer.calibration
+    wrong = with_longer_focal_length(true, 1.03)
+    poses = [slamcli.Pose2(0.04 * k, 0.004 * k * k, 0.1 * k) for k in range(12)]
+    frames = [
+        slamcli.Frame(index, f"{index}.png", None, take(photographer, pose, index))
+        for index, pose in enumerate(poses)
+    ]
+    mapper = slamcli.Mapper(wrong)
+    for frame in frames:
+        mapper.update(frame)
+    mapper.finish()
+    done = slamcli.self_calibrate(mapper, frames.__getitem__)
+    assert done.verdict == "refined", done.reason
+    focal = done.registration.calibration.camera_matrix[0, 0]
+    assert focal == pytest.approx(true.camera_matrix[0, 0], rel=0.01)
+    save_map(tmp_path / "map.slam", done.registration.floor_map)
+    locator = slamcli.Locator(slamcli.load_map(tmp_path / "map.slam"))
+    found = locator.locate(frames[3])
+    there = done.registration.estimates[3].map_from_robot
+    assert (there.inverse() @ found.map_from_robot).translation_length < 0.003
+    assert mapper.calibration is wrong
+    assert math.isfinite(done.pixels_after)
