@@ -434,6 +434,15 @@ def test_corners_that_are_not_those_of_a_square_are_reported(tmp_path: Path) -> 
         assert ("fits a flat floor only to" in notes_of(photo, tmp_path, options)) == noted
 
 
+def test_corners_away_from_the_pictures_edges_are_reported(tmp_path: Path) -> None:
+    photo = Photo(focal=560.0)
+    corners = [(float(x), float(y)) for x, y in photo.corners]
+    coarse = [(corners[0][0] + 2.0, corners[0][1] + 2.0), *corners[1:]]
+    for given, noted in ((corners, False), (coarse, True)):
+        options = CalibrateOptions(SIDE_METRES, corners=tuple(given))
+        assert ("from the given corners; --refine" in notes_of(photo, tmp_path, options)) == noted
+
+
 def blank_photo(folder: Path) -> Path:
     path = folder / "photo.png"
     cv2.imwrite(str(path), np.full((480, 640, 3), 80, np.uint8))

@@ -44,6 +44,9 @@ from slamcli.stages.calibrate import board
 
 # Error of a given corner, one sigma, where nothing measured it.
 _GIVEN_CORNER_SIGMA_PIXELS = 0.5
+# Corners that are farther from the picture's edges were read too coarsely: three sigmas. Two pixels
+# at the near edge of a low camera's square are one or two per cent of the map's scale.
+_MAX_CORNER_ERROR_PIXELS = 1.5
 # Of a focal length noted in whole millimetres of 35 mm film, as a share: rounding, focus, crop.
 _NOTED_FOCAL_SIGMA = 0.05
 # Error of corners by an unknown lens and an uneven floor, as a share of the picture's width
@@ -240,7 +243,7 @@ def find_target(
     if options.chessboard is not None:
         return _chessboard(image, options, lens)
     if options.corners is not None and not options.refine:
-        return _given_corners(solving.sort_corners(options.corners, size), options, lens)
+        return _given_corners(image, solving.sort_corners(options.corners, size), options, lens)
     name = "square"
     notes: list[str] = []
     if options.corners is not None:
@@ -271,11 +274,30 @@ def _chessboard(image: UInt8Array, options: CalibrateOptions, lens: Lens) -> Tar
     return Target(f"chessboard {columns}x{rows}", points, pixels[ends], ())
 
 
-def _given_corners(corners: Float64Array, options: CalibrateOptions, lens: Lens) -> Target:
+def _given_corners(
+    image: UInt8Array, corners: Float64Array, options: CalibrateOptions, lens: Lens
+) -> Target:
     covariance = np.eye(8) * _GIVEN_CORNER_SIGMA_PIXELS**2
     target = solving.square_target(options.side_metres)
     points = solving.FloorPoints(target, undistort_points(lens, corners), covariance)
-    return Target("square", points, corners, ())
+    return Target("square", points, corners, _off_edges(image, corners, options.gamma, lens))
+
+
+def _off_edges(
+    image: UInt8Array, corners: Float64Array, gamma: Gamma, lens: Lens
+) -> tuple[str, ...]:
+    """Return a note where the picture's edges meet away from the given corners."""
+    try:
+        found = square.refine_square(image, corners, lens, gamma)
+    except CalibrationError:
+        return ()
+    off = float(np.linalg.norm(found.corners - corners, axis=1).max())
+    if off <= _MAX_CORNER_ERROR_PIXELS:
+        return ()
+    return (
+        f"the picture's edges meet up to {off:.1f} px from the given corners; --refine moves them "
+        "there",
+    )
 
 
 def _search_square(
