@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,6 +56,7 @@ class EdgedQuad:
     support: float
     bow_pixels: float
     residual_pixels: float
+    sides: tuple[Side, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +107,7 @@ def refine_quad(
             if side is None or side.support < _MIN_INLIER_SHARE:
                 return None
             sides.append(side)
-        lines = np.array([side.line for side in sides])
-        quad = intersect(np.roll(lines, 1, axis=0), lines)
+        quad = corners_of_sides(sides)
         if not np.all(np.isfinite(quad)) or not is_convex(quad):
             return None
         if round_number == 0:
@@ -114,12 +115,16 @@ def refine_quad(
         else:
             blur = max(side.blur_pixels for side in sides)
             window = min(window, _WINDOW_BLURS * blur + _WINDOW_MARGIN_PIXELS)
-    # Sides that are bent although the lens is known are not straight on the floor.
-    bent = not np.any(lens.distortion)
-    return _assemble(_follow_bow(quad, sides) if bent else quad, sides)
+    return assemble(sides, lens)
 
 
-def _follow_bow(quad: Float64Array, sides: list[Side]) -> Float64Array:
+def corners_of_sides(sides: Sequence[Side]) -> Float64Array:
+    """Return (4, 2): where the lines of neighbouring sides meet."""
+    lines = np.array([side.line for side in sides])
+    return intersect(np.roll(lines, 1, axis=0), lines)
+
+
+def _follow_bow(quad: Float64Array, sides: Sequence[Side]) -> Float64Array:
     """Move the corners from where the sides' lines meet to where their parabolas do."""
     moved = quad.copy()
     for corner in range(4):
@@ -202,8 +207,14 @@ def _fine_side(
     return replace(side, blur_pixels=found.blur_pixels)
 
 
-def _assemble(quad: Float64Array, sides: list[Side]) -> EdgedQuad:
+def assemble(
+    sides: Sequence[Side], lens: Lens, shift_covariance: Float64Array | None = None
+) -> EdgedQuad:
     """Return the quadrilateral with the covariance that its sides' lines give its corners."""
+    quad = corners_of_sides(sides)
+    # Sides that are bent although the lens is known are not straight on the floor.
+    if not np.any(lens.distortion):
+        quad = _follow_bow(quad, sides)
     supports = np.array([side.support for side in sides])
     # Corner k is where sides k - 1 and k meet: n . corner = place, to first order, for each.
     jacobian = np.zeros((8, 8))
@@ -219,6 +230,8 @@ def _assemble(quad: Float64Array, sides: list[Side]) -> EdgedQuad:
     lines = np.zeros((8, 8))
     for index, side in enumerate(sides):
         lines[2 * index : 2 * index + 2, 2 * index : 2 * index + 2] = side.covariance
+    if shift_covariance is not None:
+        lines[::2, ::2] += shift_covariance
     bow = max((side.bow_pixels for side in sides), key=abs)
     # What bends the sides, an unknown lens or an uneven floor, moves the corners about as much.
     bent = np.eye(8) * (0.5 * bow) ** 2
@@ -228,4 +241,5 @@ def _assemble(quad: Float64Array, sides: list[Side]) -> EdgedQuad:
         support=float(0.5 * (supports.min() + supports.mean())),
         bow_pixels=bow,
         residual_pixels=float(np.sqrt(np.mean([side.residual_pixels**2 for side in sides]))),
+        sides=tuple(sides),
     )

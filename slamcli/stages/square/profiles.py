@@ -169,7 +169,7 @@ def locate_edges(values: Float64Array, offsets: Float64Array) -> EdgePlaces:
     """
     mean = _trimmed_mean(values)
     sigma = _edge_sigma(mean, offsets)
-    fit = np.linalg.pinv(_edge_model(offsets, sigma))
+    fit = np.linalg.pinv(edge_model(offsets, sigma))
     parts = values @ fit.T
     # The mean of neighbours has the step between the two sides with less noise.
     step = uniform_filter1d(parts[:, 0] - parts[:, 1], _STEP_PROFILES, mode="nearest")
@@ -181,13 +181,13 @@ def _edge_sigma(mean: Float64Array, offsets: Float64Array) -> float:
     sigmas = np.geomspace(_SMALLEST_BLUR_PIXELS, float(offsets[-1]) / 2.0, _BLURS)
     misfits = []
     for sigma in sigmas:
-        model = _edge_model(offsets, float(sigma))
+        model = edge_model(offsets, float(sigma))
         left = mean - model @ np.linalg.lstsq(model, mean, rcond=None)[0]
         misfits.append(float(left @ left))
     return float(sigmas[int(np.argmin(misfits))])
 
 
-def _edge_model(offsets: Float64Array, sigma: float) -> Float64Array:
+def edge_model(offsets: Float64Array, sigma: float) -> Float64Array:
     """Return (T, 5) columns: both sides' levels at the edge and their slopes, the edge's shift."""
     inside = ndtr(-offsets / sigma)
     outside = 1.0 - inside

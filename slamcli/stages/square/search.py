@@ -222,6 +222,7 @@ def _from_upper_left(corners: Float64Array, quad: EdgedQuad, score: float) -> Sq
         support=quad.support,
         bow_pixels=quad.bow_pixels,
         residual_pixels=quad.residual_pixels,
+        sides=quad.sides[-turn % 4 :] + quad.sides[: -turn % 4],
     )
     return Square(np.roll(corners, turn, axis=0), turned, score)
 
