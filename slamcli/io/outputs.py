@@ -127,9 +127,9 @@ def refuse_earlier(
 ) -> None:
     """Refuse a folder whose earlier products may not be replaced, as `staging_folder` does."""
     earlier = _products_in(folder, products)
+    _refuse_inputs(earlier, inputs)
     for path in earlier:
         _refuse_special(path)
-    _refuse_inputs(earlier, inputs)
     if earlier and not overwrite:
         raise OutputError(
             f"{folder} already has {earlier[0].name}; use --overwrite or another --output"
@@ -183,7 +183,8 @@ def _refuse_inputs(earlier: Sequence[Path], inputs: Iterable[Path | None]) -> No
     """Refuse outputs that would replace an input, or a folder with one in it."""
     if not earlier:
         return
-    files = {_identity(path): path for path in earlier}
+    # Links that lead nowhere are among them, from Python 3.13 on.
+    files = {_identity(path): path for path in earlier if path.exists()}
     folders = [path.resolve() for path in earlier if path.is_dir()]
     for given in inputs:
         if given is None or not given.exists():

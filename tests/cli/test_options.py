@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import MISSING, fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import click
@@ -12,6 +13,7 @@ from click.testing import CliRunner
 from spied_commands import ARGUMENTS, LOADED, calls, flag_of
 
 from slamcli.cli.main import COMMANDS, SlamGroup, main
+from slamcli.cli.options.common import default_output
 from slamcli.cli.options.fields import destination, filled, option
 from slamcli.core.config import MapperOptions, ProductOptions
 
@@ -206,6 +208,11 @@ def test_a_value_of_another_form_is_refused_with_the_form(name: str, text: str, 
     with pytest.raises(click.BadParameter, match=r"of the form|none of|no amount") as raised:
         value_of(name, text)
     assert form in raised.value.message
+
+
+def test_the_default_output_of_the_root_is_in_it() -> None:
+    assert default_output(Path("/"), "mosaic") == Path("/_mosaic")
+    assert default_output(Path("/some/drive.mp4"), "mosaic") == Path("/some/drive_mosaic")
 
 
 def test_angles_and_bytes_are_written_as_they_are_read() -> None:

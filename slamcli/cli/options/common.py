@@ -97,5 +97,5 @@ def default_output(source: Path, suffix: str) -> Path:
     folder = source.resolve() if source.is_dir() else source.resolve().parent
     if source.suffix.lower() in CONTAINER_SUFFIXES:
         folder = source.resolve().with_suffix("")
-    beside = folder.with_name(f"{folder.name}_{suffix}")
+    beside = folder.parent / f"{folder.name}_{suffix}"
     return Path(os.path.relpath(beside)) if beside.is_relative_to(Path.cwd()) else beside
