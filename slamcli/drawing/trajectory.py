@@ -60,13 +60,15 @@ def draw_trajectory(
     gap = _draw_path(canvas, estimates, pixels, colours)
     arrow = 0.03 * max(view_grid.width, view_grid.height)
     step = max(1, math.ceil(len(estimates) / _MAX_LABELS))
-    for number, (estimate, pose, pixel) in enumerate(zip(estimates, poses, pixels, strict=True)):
+    for pixel, colour in zip(pixels, colours, strict=True):
+        cv2.circle(canvas, _rounded(pixel), 4, colour, -1, cv2.LINE_AA)
+    # On top of the path, which is denser than an arrow is long.
+    labelled = list(zip(estimates, poses, pixels, strict=True))[::step]
+    for estimate, pose, pixel in labelled:
         start = _rounded(pixel)
-        cv2.circle(canvas, start, 4, colours[number], -1, cv2.LINE_AA)
-        if number % step == 0:
-            ahead = pixel + arrow * np.array([math.cos(pose.theta), -math.sin(pose.theta)])
-            cv2.arrowedLine(canvas, start, _rounded(ahead), _TEXT_COLOUR, 2, cv2.LINE_AA)
-            _write(canvas, str(estimate.index), (start[0] + 6, start[1] - 6))
+        ahead = pixel + arrow * np.array([math.cos(pose.theta), -math.sin(pose.theta)])
+        cv2.arrowedLine(canvas, start, _rounded(ahead), _TEXT_COLOUR, 2, cv2.LINE_AA)
+        _write(canvas, str(estimate.index), (start[0] + 6, start[1] - 6))
     cv2.circle(canvas, _rounded(pixels[0]), 9, _START_COLOUR, 3, cv2.LINE_AA)
     framed = _with_axes(canvas, view_grid, unit)
     _draw_legend(framed, limit, unit, gap=gap)

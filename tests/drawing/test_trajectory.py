@@ -59,6 +59,16 @@ def test_lost_frames_are_a_dashed_line_and_are_in_the_legend() -> None:
     assert red(drawn(estimates([0, 1, 5, 6]))) > 100
 
 
+def test_arrows_and_numbers_lie_on_top_of_a_dense_path() -> None:
+    picture = drawn(
+        [PoseEstimate(n, f"{n}.jpg", None, Pose2(0.01 * n, 0.5), "tracked") for n in range(240)]
+    )
+    path = np.abs(picture.astype(int) - trajectory._PATH_COLOUR).max(axis=2) < 12
+    row = round(np.flatnonzero(path.sum(axis=1) > 500).mean())
+    dark = picture[row, trajectory._LEFT + 2 : -trajectory._RIGHT - 2].max(axis=1) < 60
+    assert np.count_nonzero(dark) > 8 * trajectory._MAX_LABELS
+
+
 def test_the_colour_bar_is_there_where_sigmas_are_known() -> None:
     known, unknown = drawn(estimates([0, 1, 2])), drawn(estimates([0, 1, 2], sigmas=False))
     yellow = np.array([37, 231, 253])
