@@ -13,7 +13,7 @@ from slamcli.core.records import Keyframe
 
 # The picture has at most this many pixels a side, and room for the floor to come.
 _MAX_PIXELS, _ROOM = 1200, 0.3
-# Of a keyframe's own pixels (its view at half resolution) to one of the picture, at least.
+# Of a keyframe's own pixels to one of the picture, at least.
 _MIN_REDUCTION = 1.0
 # Keyframes that moved by more than so many pixels of the picture are painted anew, with all others.
 _MAX_MOVED_PIXELS = 1.0
@@ -25,7 +25,7 @@ class FloorPicture:
     Parameters
     ----------
     view : Grid
-        Of the frames' views, in the robot frame.
+        Of the frames' views that are compared, in the robot frame.
 
     Attributes
     ----------
@@ -86,9 +86,7 @@ class FloorPicture:
         low, high = corners.min(axis=0), corners.max(axis=0)
         room = _ROOM * float((high - low).max())
         sides = high - low + 2.0 * room
-        scale = max(
-            2.0 * _MIN_REDUCTION * self._view.metres_per_pixel, float(sides.max()) / _MAX_PIXELS
-        )
+        scale = max(_MIN_REDUCTION * self._view.metres_per_pixel, float(sides.max()) / _MAX_PIXELS)
         width, height = (int(np.ceil(side / scale)) for side in sides)
         self.grid = Grid(float(low[0]) - room, float(high[1]) + room, scale, width, height)
         self.image = np.zeros((height, width, 2), np.uint8)
@@ -103,13 +101,13 @@ class FloorPicture:
         if image is None or mask is None:
             return
         # Where the picture is coarser than the view, this is reduced first, against aliasing.
-        step = max(1, int(self.grid.metres_per_pixel / (2.0 * self._view.metres_per_pixel)))
+        step = max(1, int(self.grid.metres_per_pixel / self._view.metres_per_pixel))
         height, width = (side // step for side in image.shape)
         image, mask = (
             cv2.resize(one[: height * step, : width * step], (width, height), interpolation=how)
             for one, how in ((image, cv2.INTER_AREA), (mask, cv2.INTER_NEAREST))
         )
-        scale = 2.0 * step * self._view.metres_per_pixel
+        scale = step * self._view.metres_per_pixel
         view = Grid(self._view.x_min, self._view.y_max, scale, width, height)
         corners = apply_homography(self.grid.pixel_from_metres, pose.apply(self._view.corners))
         left, top = np.maximum(np.floor(corners.min(axis=0)).astype(int), 0).tolist()

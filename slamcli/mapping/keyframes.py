@@ -1,7 +1,7 @@
 """Keyframes: compressed storage, a cache of decoded ones, and the database that finds them.
 
-The pixels of a view are stored at half resolution, where registration starts, as a JPEG whose error
-is below a camera's noise; the pyramid is computed from them: a twentieth of the memory.
+The pixels of the view that is compared are stored as a JPEG whose error is below a camera's noise;
+the pyramid is computed from them: a twentieth of the memory.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from slamcli.core.arrays import UInt8Array
 from slamcli.core.deferred import Deferred
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid
-from slamcli.core.records import Features, Keyframe, PreparedFrame
+from slamcli.core.records import Features, Keyframe, PreparedFrame, View
 from slamcli.stages import dense
 from slamcli.stages.place_index import PlaceCandidate, PlaceIndex
 
@@ -57,7 +57,7 @@ class KeyframeCache:
     Parameters
     ----------
     grid : Grid
-        Of the views.
+        Of the views that are compared.
     """
 
     def __init__(self, grid: Grid) -> None:
@@ -85,7 +85,7 @@ class KeyframeDatabase:
     Parameters
     ----------
     grid : Grid
-        Of the views.
+        Of the views that are compared.
     seed : int
         Of the place index.
     """
@@ -142,7 +142,7 @@ def _decode_keyframe(
     image, level_masks = _decode_image(keyframe.image, grid), masks_of(keyframe.mask)
     if image is None or not level_masks:
         raise FrameError(f"keyframe {keyframe.name}: its images cannot be used")
-    levels = dense.levels_from_half(image, level_masks, grid)
+    levels = dense.make_levels(View(grid, image, level_masks[0].mask), level_masks)
     features = keyframe.features
     if features.norm == "l2":
         features = replace(features, descriptors=features.descriptors.astype(np.float32))
@@ -155,21 +155,21 @@ def _decode_keyframe(
         "",
         levels,
         (),
-        Deferred(partial(dense.find_periods, levels[-1])),
+        Deferred(partial(dense.find_periods, levels)),
     )
 
 
 def _level_masks(grid: Grid, encoded: bytes) -> tuple[dense.LevelMask, ...]:
     """Return the level masks of a keyframe's mask; none when it cannot be used."""
     mask = _decode_image(encoded, grid)
-    return () if mask is None else dense.level_masks_from_half(mask)
+    return () if mask is None else dense.make_level_masks(mask)
 
 
 def _decode_image(encoded: bytes, grid: Grid) -> UInt8Array | None:
-    """Return the gray image of a JPEG or PNG; None when its size is not half that of a view."""
+    """Return the gray image of a JPEG or PNG; None when its size is not the grid's."""
     try:
         picture = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_GRAYSCALE)
     except cv2.error:
         return None
-    shape = -(-grid.height // 2), -(-grid.width // 2)
+    shape = grid.height, grid.width
     return None if picture is None or picture.shape != shape else np.asarray(picture, np.uint8)

@@ -66,7 +66,7 @@ class Locator:
 
     @property
     def grid(self) -> Grid:
-        """Of the views that are registered, in the robot frame."""
+        """Of the views that are compared by their pixels, in the robot frame."""
         return self._preprocessor.grid
 
     def locate(

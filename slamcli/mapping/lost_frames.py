@@ -118,7 +118,7 @@ class LostFrames:
         estimate = self._graph[prepared.index]
         prior = self._prior(estimate)
         self._tried[prepared.index] = self._neighbours(prepared.index)
-        if prior is None or prepared.view is None:
+        if prior is None or not prepared.levels:
             return None
         fragment, map_prior = prior
         result = None

@@ -84,12 +84,12 @@ class Mapper:
 
     @property
     def grid(self) -> Grid:
-        """Of the views that are registered, in the robot frame."""
+        """Of the views that are compared by their pixels, in the robot frame."""
         return self._preprocessor.grid
 
     @property
     def metres_per_pixel(self) -> float:
-        """Of these views."""
+        """Of the views that features are detected in, which are finer."""
         return self._preprocessor.metres_per_pixel
 
     @property
@@ -203,7 +203,7 @@ class Mapper:
 
     def _step(self, prepared: PreparedFrame) -> PoseEstimate:
         """Place a frame of a new index."""
-        if prepared.view is None:
+        if not prepared.levels:
             return self._backend.add_lost(prepared, prepared.reason)
         before, self._tracking.latest = self._tracking.latest, prepared
         if before is not None and _same_picture(before, prepared):
@@ -418,8 +418,7 @@ def _most_informative(results: list[RegistrationResult]) -> RegistrationResult:
 
 
 def _same_picture(a: PreparedFrame, b: PreparedFrame) -> bool:
-    assert a.view is not None
-    assert b.view is not None
     if not np.array_equal(a.levels[-1].image, b.levels[-1].image):  # a hundredth of the pixels
         return False
-    return np.array_equal(a.view.image, b.view.image) and np.array_equal(a.view.mask, b.view.mask)
+    first, second = a.levels[0], b.levels[0]
+    return np.array_equal(first.image, second.image) and np.array_equal(first.mask, second.mask)

@@ -168,6 +168,4 @@ def is_mostly_confirmed(result: RegistrationResult) -> bool:
 
 
 def _overlap(keyframe: PreparedFrame, prepared: PreparedFrame, guess: Pose2) -> float:
-    assert keyframe.view is not None
-    assert prepared.view is not None
-    return dense.overlap(keyframe.view, prepared.view, guess)
+    return dense.overlap(keyframe.levels[0], prepared.levels[0], guess)

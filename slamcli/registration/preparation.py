@@ -15,6 +15,7 @@ LevelMasks = tuple[dense.LevelMask, ...]
 def assemble(
     frame: Frame,
     views: Sequence[View],
+    painting: Deferred[View],
     extraction: Deferred[Features],
     level_masks: Sequence[LevelMasks] | None = None,
 ) -> PreparedFrame:
@@ -24,10 +25,12 @@ def assemble(
     ----------
     frame : Frame
     views : sequence of View
-        Gray, from `make_compared_views`: the one that features are taken from, and the far one
-        when the camera sees farther.
+        Gray, from `make_compared_views`: the near one, and the far one when the camera sees
+        farther.
+    painting : Deferred of View
+        The gray view that features are detected in.
     extraction : Deferred of Features
-        Of the first view.
+        Of that view.
     level_masks : sequence or None
         From `make_level_masks` of each view's mask, where that was done before.
     """
@@ -37,10 +40,10 @@ def assemble(
         frame.index,
         frame.name,
         frame.stamp,
-        views[0],
+        painting,
         extraction,
         "",
         levels,
         far[0] if far else (),
-        Deferred(partial(dense.find_periods, levels[-1])),
+        Deferred(partial(dense.find_periods, levels)),
     )

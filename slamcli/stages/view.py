@@ -10,9 +10,14 @@ import cv2
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from slamcli.core.arrays import BoolArray, Float32Array, Int16Array, UInt8Array
+from slamcli.core.arrays import BoolArray, Float32Array, Int16Array, Int64Array, UInt8Array
 from slamcli.core.camera.calibration import Calibration
-from slamcli.core.camera.footprint import default_metres_per_pixel, footprint, footprint_hull
+from slamcli.core.camera.footprint import (
+    compared_metres_per_pixel,
+    default_metres_per_pixel,
+    footprint,
+    footprint_hull,
+)
 from slamcli.core.camera.projection import SamplingMap, sampling_map
 from slamcli.core.camera.resolution import resolution_image
 from slamcli.core.errors import FrameError, other_size
@@ -20,13 +25,11 @@ from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Frame, View
 from slamcli.core.robust import NORMAL_MEDIAN
 
-# A view of about a megapixel has enough points, and warps and detects in milliseconds. Of a
-# picture that has many pixels to each of the view's, half as many serve as well: each is the mean
-# of several, with less noise. Motions err by hundredths of a millimetre more
-# [guarded by benchmarks/accuracy.py and benchmarks/stages.py].
-_REGISTRATION_PIXELS, _FEWER_PIXELS = 1.0e6, 0.5e6
-_MANY_TO_ONE = 1.5
+# A view of about half a megapixel has enough points, and warps and detects in milliseconds
+# [guarded by benchmarks/accuracy.py and benchmarks/streaming.py].
+_REGISTRATION_PIXELS = 0.5e6
 _MAX_LEVEL = 4
+_FOLDED_COLUMNS = 256
 # Up to this many times the range of features a line or an edge is still of use; a view that gains
 # less floor than this by it is not worth its time [guarded by benchmarks/robustness.py].
 _FAR_TIMES = 2.2
@@ -64,35 +67,33 @@ class Resampler:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
-    """The part of a raster that is read from one level of the picture's pyramid.
+    """The pixels of a raster that are read from one level of the picture's pyramid.
 
     Attributes
     ----------
     level : int
         0 is the picture itself.
-    rows, columns : slice
-        Of the raster: the bounding box of the part.
-    inside : (h, w) uint8
-        1 where the box belongs to the part.
-    columns_read, rows_read : (h, w) float32
-        Pixels of the level.
+    pixels : (N,) int64
+        Numbers of the raster's pixels, row by row.
+    columns_read, rows_read : (r, c) float32
+        Pixels of the level, folded, as OpenCV limits the sides of its maps: one for each of the
+        raster's, or as many in a row as it is the mean of; filled up with the first ones.
     """
 
     level: int
-    rows: slice
-    columns: slice
-    inside: UInt8Array
+    pixels: Int64Array
     columns_read: Float32Array
     rows_read: Float32Array
 
 
 def registration_metres_per_pixel(calibration: Calibration) -> float:
-    """Return the resolution of the views that are registered: the default, or coarser if vast."""
+    """Return the resolution of the views that features are detected in.
+
+    The default, or coarser where that makes vast views.
+    """
     finest = default_metres_per_pixel(calibration)
     grid = footprint(calibration, finest)
-    many = math.prod(calibration.image_size) >= _MANY_TO_ONE * _FEWER_PIXELS
-    most = _FEWER_PIXELS if many else _REGISTRATION_PIXELS
-    shrink = math.sqrt(grid.width * grid.height / most)
+    shrink = math.sqrt(grid.width * grid.height / _REGISTRATION_PIXELS)
     return finest * max(1.0, shrink)
 
 
@@ -101,6 +102,8 @@ def make_resampler(
     pixels_per_metre: Float32Array,
     grid: Grid,
     robot_from_grid: Pose2,
+    *,
+    antialias: bool = False,
 ) -> Resampler:
     """Prepare to paint a raster on the floor from pictures of one camera.
 
@@ -111,52 +114,79 @@ def make_resampler(
     ----------
     pixels_per_metre : (H, W) float32
         From `resolution_image`, or weights of the same zeros.
+    antialias : bool
+        Whether, where the level is still finer than the raster, each pixel is the mean of four.
     """
     mapping = sampling_map(calibration, pixels_per_metre, grid, robot_from_grid)
+    finer = mapping
+    if antialias:
+        scale, width, height = grid.metres_per_pixel / 2.0, 2 * grid.width, 2 * grid.height
+        twice = Grid(grid.x_min, grid.y_max, scale, width, height)
+        finer = sampling_map(calibration, pixels_per_metre, twice, robot_from_grid)
     seen = mapping.pixels_per_metre > 0
-    coarser = float(mapping.pixels_per_metre.max(initial=0.0)) * grid.metres_per_pixel
-    deepest = min(_MAX_LEVEL, int(math.log2(max(coarser, 1.0))))
+    # How many of the picture's pixels to one of the raster's, side by side.
+    coarser = mapping.pixels_per_metre * np.float32(grid.metres_per_pixel)
+    deepest = min(_MAX_LEVEL, int(math.log2(max(float(coarser.max(initial=0.0)), 1.0))))
     bands = []
     for number in range(deepest + 1):
-        low, high = 2.0**number / grid.metres_per_pixel, 2.0 ** (number + 1) / grid.metres_per_pixel
         inside = seen
         if number > 0:
-            inside = inside & (mapping.pixels_per_metre >= low)
+            inside = inside & (coarser >= 2.0**number)
         if number < deepest:
-            inside = inside & (mapping.pixels_per_metre < high)
-        if not inside.any():
-            continue
-        rows, columns = _extent(inside, axis=1), _extent(inside, axis=0)
-        part = inside[rows, columns]
-        maps = _maps(mapping, (rows, columns), part, calibration.image_size, number)
-        bands.append(Band(number, rows, columns, part.astype(np.uint8), *maps))
+            inside = inside & (coarser < 2.0 ** (number + 1))
+        fine = antialias & (coarser >= 1.0)
+        for part, places in ((inside & ~fine, mapping), (inside & fine, finer)):
+            if part.any():
+                bands.append(_band(places, part, calibration.image_size, number))
     return Resampler(grid, np.where(seen, np.uint8(255), np.uint8(0)), tuple(bands))
 
 
-def _maps(
-    mapping: SamplingMap,
-    part: tuple[slice, slice],
-    inside: BoolArray,
-    image_size: tuple[int, int],
-    level: int,
-) -> tuple[Float32Array, Float32Array]:
-    """Return the columns and rows to read in one level of the picture's pyramid.
+def _band(mapping: SamplingMap, inside: BoolArray, image_size: tuple[int, int], level: int) -> Band:
+    """Return the band of some of a raster's pixels, read once or, by a finer mapping, four times.
 
     All within the level's picture, its border repeated: OpenCV is slow where a map leads outside.
     """
+    pixels = np.flatnonzero(inside)
+    height, width = inside.shape
+    times = mapping.columns.shape[0] // height
+    folded = np.resize(pixels, (-(-len(pixels) // _FOLDED_COLUMNS), _FOLDED_COLUMNS))
     # pyrDown keeps every other pixel, so pixel k of a level is pixel 2^level k of the picture.
     scale, steps = np.float32(0.5**level), 2**level
-    columns, rows = (
-        np.where(inside, np.clip(places[part] * scale, 0, -(-side // steps) - 1), 0)
-        for places, side in zip((mapping.columns, mapping.rows), image_size, strict=True)
-    )
-    return columns.astype(np.float32), rows.astype(np.float32)
+    maps = []
+    for places, side in zip((mapping.columns, mapping.rows), image_size, strict=True):
+        each = places.reshape(height, times, width, times).transpose(0, 2, 1, 3)
+        read = each.reshape(-1, times**2)[folded].reshape(len(folded), -1)
+        maps.append(np.clip(read * scale, 0, -(-side // steps) - 1).astype(np.float32))
+    return Band(level, pixels, maps[0], maps[1])
 
 
-def make_view_resampler(calibration: Calibration, metres_per_pixel: float) -> Resampler:
-    """Prepare the camera's own bird's-eye view, in the robot frame."""
-    grid = footprint(calibration, metres_per_pixel)
-    return make_resampler(calibration, resolution_image(calibration), grid, Pose2())
+def make_view_resampler(
+    calibration: Calibration, metres_per_pixel: float, *, antialias: bool = False
+) -> Resampler:
+    """Prepare the camera's own bird's-eye view, in the robot frame; see `make_resampler`."""
+    grid, sharp = footprint(calibration, metres_per_pixel), resolution_image(calibration)
+    return make_resampler(calibration, sharp, grid, Pose2(), antialias=antialias)
+
+
+def make_compared_resamplers(
+    calibration: Calibration, metres_per_pixel: float, *, far: bool
+) -> list[Resampler]:
+    """Prepare the views that are compared by their pixels.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    metres_per_pixel : float
+        Of the views that features are detected in.
+    far : bool
+        Whether a coarser view of the floor beyond is wanted too, where the camera sees much of it.
+    """
+    compared = compared_metres_per_pixel(calibration, metres_per_pixel)
+    # An edge that aliases moves with the camera, not with the floor
+    # [benchmarks/streaming.py, course: steps err by 1.4 times as much without].
+    near = make_view_resampler(calibration, compared, antialias=True)
+    beyond = make_far_resampler(calibration, compared) if far else None
+    return [near] if beyond is None else [near, beyond]
 
 
 def make_far_resampler(calibration: Calibration, metres_per_pixel: float) -> Resampler | None:
@@ -168,7 +198,7 @@ def make_far_resampler(calibration: Calibration, metres_per_pixel: float) -> Res
     near_area = ConvexHull(footprint_hull(calibration)).volume
     if ConvexHull(footprint_hull(far)).volume < _MIN_FAR_GAIN * near_area:
         return None
-    return make_view_resampler(far, _FAR_COARSER * metres_per_pixel)
+    return make_view_resampler(far, _FAR_COARSER * metres_per_pixel, antialias=True)
 
 
 def resample(image: UInt8Array, resampler: Resampler) -> UInt8Array:
@@ -179,8 +209,12 @@ def resample(image: UInt8Array, resampler: Resampler) -> UInt8Array:
     for band in resampler.bands:
         while level < band.level:
             level_image, level = np.asarray(cv2.pyrDown(level_image), dtype=np.uint8), level + 1
-        warped = cv2.remap(level_image, band.columns_read, band.rows_read, cv2.INTER_LINEAR)
-        cv2.copyTo(warped, band.inside, painted[band.rows, band.columns])
+        read = cv2.remap(level_image, band.columns_read, band.rows_read, cv2.INTER_LINEAR)
+        if read.shape[1] != _FOLDED_COLUMNS:
+            size = _FOLDED_COLUMNS, len(read)
+            read = cv2.resize(read, size, interpolation=cv2.INTER_AREA)
+        values = np.asarray(read).reshape(-1, *image.shape[2:])[: len(band.pixels)]
+        painted.reshape(-1, *image.shape[2:])[band.pixels] = values
     return painted
 
 
@@ -218,10 +252,9 @@ def noise_gray(image: UInt8Array) -> float:
     left = blocks[:, :, :-2] - 2 * blocks[:, :, 1:-1] + blocks[:, :, 2:]
     left = left[:, :-2] - 2 * left[:, 1:-1] + left[:, 2:]
     sizes = np.abs(left).reshape(len(left), -1)
+    # Sorted by vector instructions, several times as fast as numpy finds two medians.
     middle = sizes.shape[1] // 2
-    sizes = np.partition(sizes, (middle - 1, middle), axis=1)[:, middle - 1 : middle + 1].mean(
-        axis=1
-    )
+    sizes = np.sort(sizes, axis=1)[:, middle - 1 : middle + 1].mean(axis=1)
     # The kernel's weights squared sum to 36.
     return float(np.quantile(sizes, _SMOOTHEST_SHARE)) / (6.0 * NORMAL_MEDIAN)
 
@@ -277,8 +310,3 @@ def check_view(view: View) -> None:
     saturated = cv2.countNonZero(bright) / count
     if saturated > _MAX_SATURATED_SHARE:
         raise FrameError(f"overexposed: {saturated:.0%} of the floor is white; lower the exposure")
-
-
-def _extent(inside: BoolArray, axis: int) -> slice:
-    indices = np.flatnonzero(inside.any(axis=axis))
-    return slice(int(indices[0]), int(indices[-1]) + 1)

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from floor_pictures import forward_camera
 
-from slamcli.core.camera.footprint import footprint
+from slamcli.core.camera.footprint import compared_grid, footprint
 from slamcli.core.config import FeatureOptions
 from slamcli.core.errors import MapError
-from slamcli.core.geometry import Pose2
+from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Features, FloorMap, Keyframe, Link, PoseEstimate
-from slamcli.io.map_file import load_map, save_map
+from slamcli.io.map_file import FORMAT_VERSION, load_map, save_map
 
 
 class Network:
@@ -27,7 +27,18 @@ class Network:
     size = (64, 64)
 
 
-def example() -> FloorMap:
+def picture_of(grid: Grid, steps: int) -> np.ndarray:
+    """Return a picture of waves of 5 cm along x, of every so many-th pixel."""
+    columns = np.arange(0, grid.width, steps)
+    x = grid.x_min + (columns + 0.5) * grid.metres_per_pixel
+    rows = -(-grid.height // steps)
+    return np.tile(np.rint(128.0 + 100.0 * np.sin(2.0 * np.pi * x / 0.05)), (rows, 1)).astype(
+        np.uint8
+    )
+
+
+def example(*, older: bool = False) -> FloorMap:
+    """Return a map; with pictures as in format version 2 and 3, if older."""
     generator = np.random.default_rng(0)
     floats = generator.random((5, 4)).astype(np.float32) + np.float32(0.1)
     features = Features(
@@ -42,9 +53,11 @@ def example() -> FloorMap:
         PoseEstimate(0, "ä 0.png", 1.5, Pose2(), "tracked", "", 0, np.eye(3) * 1e-6, 9, 0.5),
         PoseEstimate(1, "1.png", None, None, "lost", "too dark"),
     )
-    grid = footprint(forward_camera(), 0.001)
-    blank = np.zeros((-(-grid.height // 2), -(-grid.width // 2)), np.uint8)
-    image, mask = (cv2.imencode(kind, blank)[1].tobytes() for kind in (".jpg", ".png"))
+    camera = forward_camera()
+    grid = footprint(camera, 0.001) if older else compared_grid(camera, 0.001)
+    picture = picture_of(grid, 2 if older else 1)
+    image = cv2.imencode(".jpg", picture)[1].tobytes()
+    mask = cv2.imencode(".png", np.full_like(picture, 255))[1].tobytes()
     keyframe = Keyframe(0, "ä 0.png", 1.5, features, image, mask)
     sources = (Path("/drives/first"), Path("/drives/ä/7.png"))
     return FloorMap(
@@ -52,7 +65,7 @@ def example() -> FloorMap:
     )
 
 
-def edited(path: Path, change: Any, version: int = 3) -> Path:
+def edited(path: Path, change: Any, version: int = FORMAT_VERSION) -> Path:
     """Write a map's file again with another header and version, and a checksum that is right."""
     data = path.read_bytes()
     start = data.index(b"\n") + 1 + 32
@@ -88,13 +101,26 @@ def test_a_map_comes_back_with_its_sources(tmp_path: Path) -> None:
     assert (tmp_path / "again.slam").read_bytes() == path.read_bytes()
 
 
-def test_a_map_of_version_2_loads_without_sources(tmp_path: Path) -> None:
+def test_a_map_of_version_2_loads_without_sources_its_pictures_where_they_were(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "map.slam"
-    save_map(path, example())
+    save_map(path, example(older=True))
     read = load_map(as_version_2(path))
     assert read.sources == ()
     assert len(read.keyframes) == 1
     assert read.calibration.height_metres == 0.3
+    grid = compared_grid(read.calibration, read.metres_per_pixel)
+    image, mask = (
+        cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+        for data in (read.keyframes[0].image, read.keyframes[0].mask)
+    )
+    assert image.shape == (grid.height, grid.width)
+    seen = mask == 255
+    assert seen.mean() > 0.95
+    off = image.astype(float) - picture_of(grid, 1)
+    # A millimetre, half of a pixel, would be 9.
+    assert np.sqrt(np.mean(off[seen] ** 2)) < 3.0
 
 
 def test_a_map_of_learned_features_can_be_rendered_but_not_located_in(tmp_path: Path) -> None:

@@ -127,7 +127,7 @@ def test_a_forged_map_is_refused_in_one_line(
     ("spoil", "message"),
     [
         (lambda data: data[:-1] + b"\0\0", "damaged"),
-        (lambda data: data.replace(b"map 3\n", b"map 9\n", 1), "format version 9"),
+        (lambda data: data.replace(b"map 4\n", b"map 9\n", 1), "format version 9"),
         (lambda data: b"PK\x03\x04" + data, "not a map"),
         (lambda data: b"", "not a map"),
     ],

@@ -169,8 +169,7 @@ def test_a_kept_keyframe_has_the_same_sift_descriptors(
 
 def test_overlap_of_footprints_is_that_of_the_views(photographer: photograph.Photographer) -> None:
     mapper = slamcli.Mapper(photographer.calibration)
-    seen = mapper.prepare(Frame(0, "0", None, take(photographer, Pose2(), 0))).view
-    assert seen is not None
+    seen = mapper.prepare(Frame(0, "0", None, take(photographer, Pose2(), 0))).levels[0]
     footprint = covisibility.Footprint(photographer.calibration)
     for pose in (Pose2(), Pose2(0.1), Pose2(0.05, 0.1, 0.4), Pose2(0.6, 0.0, 3.1), Pose2(3.0)):
         share = footprint.overlaps(np.array([[pose.x, pose.y, pose.theta]]))[0]

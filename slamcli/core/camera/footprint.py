@@ -24,6 +24,10 @@ _MIN_VIEW_PIXELS = 8
 # Of a view that is registered: more takes gigabytes and minutes, and is no better.
 MAX_REGISTRATION_PIXELS = 2**24
 _ROUND_STEPS = (1.0, 2.0, 5.0, 10.0)
+# Views are compared pixel by pixel with half to a quarter of the pixels that features are detected
+# in, a quarter of what the camera saw at most: that already resolves hundredths of a pixel
+# [benchmarks/accuracy.py, benchmarks/streaming.py].
+_LEAST_COARSER, _COARSER = math.sqrt(2.0), 2.0
 
 
 @lru_cache(maxsize=CACHED_CALIBRATIONS)
@@ -78,6 +82,24 @@ def footprint_hull(calibration: Calibration) -> Float64Array:
 def footprint(calibration: Calibration, metres_per_pixel: float) -> Grid:
     """Return the smallest grid in the robot frame that covers the usable floor."""
     return Grid.covering(footprint_hull(calibration), metres_per_pixel)
+
+
+def compared_metres_per_pixel(calibration: Calibration, metres_per_pixel: float) -> float:
+    """Return the resolution at which views are compared by their pixels.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    metres_per_pixel : float
+        Of the views that features are detected in.
+    """
+    seen = _COARSER * default_metres_per_pixel(calibration)
+    return min(_COARSER * metres_per_pixel, max(_LEAST_COARSER * metres_per_pixel, seen))
+
+
+def compared_grid(calibration: Calibration, metres_per_pixel: float) -> Grid:
+    """Return the grid of the views that are compared, given the resolution of the features'."""
+    return footprint(calibration, compared_metres_per_pixel(calibration, metres_per_pixel))
 
 
 def check_metres_per_pixel(

@@ -168,20 +168,22 @@ NO_PERIODS: Deferred[Float64Array] = Deferred.of(np.empty((0, 2)))
 class PreparedFrame:
     """A frame prepared for registration: all that can be computed without any other frame.
 
-    Its views are made; features and periods of its floor are computed when they are first needed.
+    Its pyramids are made; the view of its features, these, and the periods of its floor are
+    computed when they are first needed.
 
     Attributes
     ----------
     index, name, stamp
         Of the frame.
-    view : View or None
-        Gray; None when the frame could not be used.
+    painting : Deferred of View, or None
+        The gray view that features are detected in; None when the frame could not be used, and of
+        keyframes that were stored.
     extraction : Deferred of Features, or None
         None when the frame could not be used.
     reason : str
         Why the frame could not be used; empty when it could.
     levels : tuple of PyramidLevel
-        Of the view, from half resolution on.
+        Of the view that is compared, which is coarser; none when the frame could not be used.
     far_levels : tuple of PyramidLevel
         Of a coarser view of the floor beyond; empty where the camera sees no farther.
     periodicity : Deferred of (K, 2) float64
@@ -193,13 +195,18 @@ class PreparedFrame:
     index: int
     name: str
     stamp: float | None
-    view: View | None
+    painting: Deferred[View] | None
     extraction: Deferred[Features] | None
     reason: str = ""
     levels: tuple[PyramidLevel, ...] = ()
     far_levels: tuple[PyramidLevel, ...] = ()
     periodicity: Deferred[Float64Array] = NO_PERIODS
     digest: bytes = b""
+
+    @property
+    def view(self) -> View | None:
+        """The view of `painting`, made when it is first needed."""
+        return None if self.painting is None else self.painting.value
 
     @property
     def features(self) -> Features | None:
@@ -222,7 +229,7 @@ class Keyframe:
         Of the frame.
     features : Features
     image, mask : bytes
-        Of its view at half resolution, as JPEG and PNG.
+        Of its view that is compared, as JPEG and PNG.
     """
 
     index: int

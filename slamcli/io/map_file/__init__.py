@@ -25,6 +25,7 @@ from slamcli.core.bounds import METRES_PER_PIXEL, TILT_DEGREES
 from slamcli.core.camera.footprint import (
     MAX_REGISTRATION_PIXELS,
     check_metres_per_pixel,
+    compared_grid,
     footprint,
 )
 from slamcli.core.errors import InputError, MapError
@@ -49,11 +50,12 @@ from slamcli.io.map_file.keyframes import (
     keyframe_arrays,
     parse_keyframes,
 )
+from slamcli.io.map_file.older_pictures import older_size, resampled
 from slamcli.io.map_file.pose_graph import DRIVE_KINDS, drive_arrays, parse_drive
 
 MAP_NAME = "map.slam"
-FORMAT_VERSION = 3
-_READABLE_VERSIONS = ("2", "3")
+FORMAT_VERSION = 4
+_OLDER_VERSIONS = (2, 3)
 _MAGIC = b"slamcli map "
 _DIGEST_BYTES = 32
 _LENGTH_BYTES = 8
@@ -114,9 +116,9 @@ def load_map(path: str | Path, *, for_locating: bool = True) -> FloorMap:
         One line that names the file and what is wrong with it.
     """
     file = map_path(Path(path))
-    body = _read_body(file)
+    version, body = _read_body(file)
     try:
-        floor_map = _parse(body)
+        floor_map = _parse(body, older=version in _OLDER_VERSIONS)
     except (FieldError, MapError) as error:
         raise MapError(f"{file}: {_as_sentence(error)}") from error
     except (InputError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
@@ -134,8 +136,8 @@ def _as_sentence(error: Exception) -> str:
     return f"its {error}" if isinstance(error, FieldError) else str(error)
 
 
-def _read_body(file: Path) -> bytes:
-    """Return what the checksum covers, once it is right."""
+def _read_body(file: Path) -> tuple[int, bytes]:
+    """Return the format version, and what the checksum covers, once it is right."""
     try:
         fault = fault_of_file(file, _MAX_BYTES)
         if fault:
@@ -152,19 +154,19 @@ def _read_body(file: Path) -> bytes:
     if not line.startswith(_MAGIC):
         raise MapError(f"{file} is not a map; slam stitch writes one, {MAP_NAME}")
     version = line.removeprefix(_MAGIC).decode("ascii", "replace")
-    if version not in _READABLE_VERSIONS:
+    if version not in map(str, (*_OLDER_VERSIONS, FORMAT_VERSION)):
         raise MapError(
-            f"{file} has format version {version}; this slamcli reads "
-            f"{' and '.join(_READABLE_VERSIONS)}: stitch the frames again"
+            f"{file} has format version {version}; this slamcli reads {_OLDER_VERSIONS[0]} to "
+            f"{FORMAT_VERSION}: stitch the frames again"
         )
     start = len(line) + 1
     digest, body = data[start : start + _DIGEST_BYTES], data[start + _DIGEST_BYTES :]
     if hashlib.sha256(body).digest() != digest:
         raise MapError(f"{file} is damaged: its checksum differs; copy or stitch it again")
-    return body
+    return int(version), body
 
 
-def _parse(body: bytes) -> FloorMap:
+def _parse(body: bytes, *, older: bool) -> FloorMap:
     length = int.from_bytes(body[:_LENGTH_BYTES], "little")
     end = _LENGTH_BYTES + length
     if end > len(body):
@@ -180,14 +182,17 @@ def _parse(body: bytes) -> FloorMap:
     calibration = calibration_codec.from_dict(header["calibration"])
     scale = check_number(scale, "metres_per_pixel", METRES_PER_PIXEL)
     check_metres_per_pixel(calibration, scale, MAX_REGISTRATION_PIXELS)
-    grid = footprint(calibration, scale)
-    size = -(-grid.width // 2), -(-grid.height // 2)
+    view, compared = footprint(calibration, scale), compared_grid(calibration, scale)
+    size = older_size(view) if older else (compared.width, compared.height)
+    keyframes = parse_keyframes(arrays, norm, {e.index: e for e in estimates}, size)
+    if older:
+        keyframes = tuple(resampled(keyframe, view, compared) for keyframe in keyframes)
     return FloorMap(
         calibration,
         features,
         scale,
         check_number(tilt, "tilt_sigma_degrees", TILT_DEGREES),
-        parse_keyframes(arrays, norm, {e.index: e for e in estimates}, size),
+        keyframes,
         estimates,
         links,
         parse_sources(header.get("sources", [])),

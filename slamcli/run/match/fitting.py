@@ -148,6 +148,14 @@ def birdseye_picture(frame: Frame, calibration: Calibration, metres_per_pixel: f
     return PairImage(frame, seen, calibration)
 
 
+def compared_views(picture: PairImage, *, far: bool) -> list[View]:
+    """Return the views of a bird's-eye picture that are compared by their pixels, near and far."""
+    resamplers = view.make_compared_resamplers(
+        picture.calibration, picture.view.grid.metres_per_pixel, far=far
+    )
+    return view.make_compared_views(picture.frame, resamplers)
+
+
 def fit_pair(
     first: PairImage,
     second: PairImage,
@@ -225,11 +233,9 @@ def _fit_by(
 
 def _prepared(index: int, picture: PairImage, found: Features) -> PreparedFrame:
     """Return a bird's-eye picture as the mapper would register it."""
-    frame, views = picture.frame, [picture.view]
-    far = view.make_far_resampler(picture.calibration, picture.view.grid.metres_per_pixel)
-    if far is not None:
-        views += view.make_compared_views(frame, [far])
-    return assemble(replace(frame, index=index), views, Deferred.of(found))
+    frame = replace(picture.frame, index=index)
+    views = compared_views(picture, far=True)
+    return assemble(frame, views, Deferred.of(picture.view), Deferred.of(found))
 
 
 def search_pair(first: PairImage, second: PairImage, fit: PairFit) -> PairFit:

@@ -12,7 +12,7 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2, invert
 from slamcli.core.records import FeatureAlignment, PyramidLevel
-from slamcli.run.match.fitting import PairFit, PairImage
+from slamcli.run.match.fitting import PairFit, PairImage, compared_views
 from slamcli.stages import align, dense, local_correlation
 
 # How far a camera may rock between two pictures, in its tilt sigmas, tried in turn
@@ -32,7 +32,9 @@ def without_obstacles(
     if fit.reason or pose is None:
         return fit
     calibration = first.calibration
-    levels_a, levels_b = (dense.make_levels(picture.view) for picture in (first, second))
+    levels_a, levels_b = (
+        dense.make_levels(compared_views(picture, far=False)[0]) for picture in (first, second)
+    )
     view_a_from_view_b = _registered(levels_a, levels_b, pose, calibration)
     marks = (
         dense.find_obstacles(levels_a, levels_b, view_a_from_view_b, calibration),

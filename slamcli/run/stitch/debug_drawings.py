@@ -51,7 +51,7 @@ def _drawable(
 ) -> tuple[UInt8Array, Float64Array, Float64Array]:
     """Return a frame's view, its chosen points in that view's pixels, and pixel_from_metres.
 
-    An old keyframe has only half the resolution left.
+    An old keyframe has only the coarser view that is compared.
     """
     assert prepared.features is not None
     if prepared.view is not None:

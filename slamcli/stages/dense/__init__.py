@@ -21,8 +21,6 @@ from slamcli.stages.dense.periodicity import find_periods
 from slamcli.stages.dense.photometric_residuals import MotionPrior
 from slamcli.stages.dense.pyramid import (
     LevelMask,
-    level_masks_from_half,
-    levels_from_half,
     make_level_masks,
     make_levels,
 )
@@ -44,8 +42,6 @@ __all__ = [
     "find_obstacles",
     "find_periods",
     "keep_agreeing_points",
-    "level_masks_from_half",
-    "levels_from_half",
     "make_level_masks",
     "make_levels",
     "overlap",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -17,14 +19,18 @@ _MIN_OVERLAP = 0.2
 _OWN_PEAK_PIXELS = 5
 _MAX_SHIFTS = 4
 _AROUND = np.ones((5, 5), np.uint8)
+# Fewer pixels correlate by chance [guarded by tests/stages/test_periodicity.py: concrete].
+_MIN_PIXELS = 8000
 
 
-def find_periods(level: PyramidLevel) -> Float64Array:
+def find_periods(levels: Sequence[PyramidLevel]) -> Float64Array:
     """Return (K, 2) shifts, metres in the robot's axes, by which a view looks like itself.
 
-    The shortest, to a pixel of the level; one of each pair of opposite ones. None on a floor that
-    does not repeat.
+    The shortest, to a pixel of the coarsest level that has enough of them; one of each pair of
+    opposite ones. None on a floor that does not repeat.
     """
+    enough = (one for one in reversed(levels) if cv2.countNonZero(one.inside) >= _MIN_PIXELS)
+    level = next(enough, levels[0])
     correlation, shared = autocorrelation(level)
     rows, columns = correlation.shape
     far = np.hypot(np.arange(rows)[:, None] - rows // 2, np.arange(columns)[None, :] - columns // 2)
