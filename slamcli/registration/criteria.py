@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from slamcli.core.geometry import Pose2
 from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair
+from slamcli.stages import dense
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,17 +81,19 @@ def mostly_obstructed(fit: MotionHypothesis) -> bool:
     return fit.agreement.confirmed < SETTINGS.min_floor_share
 
 
-def explains_more(fit: MotionHypothesis, rival: MotionHypothesis) -> bool:
+def explains_more(fit: dense.Agreement, rival: dense.Agreement) -> bool:
     """Return whether a rival leaves much of its overlap unexplained, and a fit clearly less.
+
+    By the agreement of the views' pixels under either.
 
     By variance: a pattern that repeats correlates, but not what is written over it. A rival of
     which a narrow strip fits does not explain more than a wide overlap.
     """
-    shares_enough = fit.agreement.overlap >= SETTINGS.min_overlap_ratio * rival.agreement.overlap
-    left = 1.0 - max(fit.agreement.correlation, 0.0) ** 2
-    left_by_rival = 1.0 - max(rival.agreement.correlation, 0.0) ** 2
+    shares_enough = fit.overlap >= SETTINGS.min_overlap_ratio * rival.overlap
+    left = 1.0 - max(fit.correlation, 0.0) ** 2
+    left_by_rival = 1.0 - max(rival.correlation, 0.0) ** 2
     least = max(SETTINGS.min_unexplained_variance, SETTINGS.min_unexplained_ratio * left)
-    explained = rival.agreement.confirmed >= SETTINGS.min_explained_share
+    explained = rival.confirmed >= SETTINGS.min_explained_share
     return shares_enough and not explained and left_by_rival >= least
 
 

@@ -22,7 +22,7 @@ from slamcli.registration.hypothesis import (
     MotionHypothesis,
     PyramidPair,
     score_coarsely,
-    score_refined,
+    score_finely,
 )
 from slamcli.registration.result import ACCEPTED, RegistrationResult
 from slamcli.registration.selection import PairContext
@@ -95,8 +95,8 @@ def track(
     context = PairContext(keyframe, shared, _NO_ALIGNMENT, calibration, options, 0.0, prior)
     if not _explains_all(context, fit):
         return None
-    if len(keyframe.repeats) or len(shared.repeats):
-        fit = score_refined(pair, refined)
+    if context.suggested(fit):
+        fit = score_finely(pair, fit)
         if context.check_rivals(pair, fit):
             return None
     result = context.result(fit, ACCEPTED)

@@ -102,15 +102,21 @@ def _best_peaks(
 def outside_open_direction(
     fits: Sequence[MotionHypothesis], best: MotionHypothesis
 ) -> list[MotionHypothesis]:
-    """Leave out what differs from the best only along its least certain direction."""
+    """Leave out what differs from the best only along its least certain direction.
+
+    That direction is known as well as the heading is.
+    """
     variances, directions = np.linalg.eigh(best.predicted_covariance[:2, :2])
-    max_across = SETTINGS.open_direction_sigmas * math.sqrt(float(variances[0]))
-    max_turn = SETTINGS.open_direction_sigmas * math.sqrt(float(best.predicted_covariance[2, 2]))
+    turn_sigma = math.sqrt(float(best.predicted_covariance[2, 2]))
     kept = []
     for fit in fits:
         apart = best.pose.inverse() @ fit.pose
-        across = abs(float(directions[:, 0] @ (apart.x, apart.y)))
-        if across > max_across or abs(apart.theta) > max_turn:
+        across, along = np.abs(directions.T @ (apart.x, apart.y))
+        sigma = math.hypot(math.sqrt(float(variances[0])), turn_sigma * float(along))
+        if (
+            max(float(across) / sigma, abs(apart.theta) / turn_sigma)
+            > SETTINGS.open_direction_sigmas
+        ):
             kept.append(fit)
     return kept
 

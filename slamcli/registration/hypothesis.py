@@ -120,7 +120,7 @@ def score_refined(pair: PyramidPair, refined: dense.PhotometricFit) -> MotionHyp
 def score_coarsely(pair: PyramidPair, refined: dense.PhotometricFit) -> MotionHypothesis:
     """Return a refined motion scored as by `score_refined`, its evidence that of the second level.
 
-    Where there is no rival that its evidence would be compared with.
+    Where there is no rival that its evidence would be compared with; else `score_finely` follows.
     """
     pose, views = refined.a_from_b, refined.view_a_from_view_b
     middle = dense.evidence(pair.a[1], pair.b[1], pose, views)
@@ -134,6 +134,13 @@ def score_coarsely(pair: PyramidPair, refined: dense.PhotometricFit) -> MotionHy
         views,
         refined.rocking_suspected,
     )
+
+
+def score_finely(pair: PyramidPair, fit: MotionHypothesis) -> MotionHypothesis:
+    """Return a motion that `score_coarsely` returned as if by `score_refined`."""
+    fine = dense.evidence(pair.a[0], pair.b[0], fit.pose, fit.view_a_from_view_b)
+    correlation = max(fine.correlation, fit.correlation)
+    return replace(fit, evidence=fine.evidence, correlation=correlation)
 
 
 def same_motion(first: Pose2, second: Pose2, pair: PyramidPair) -> bool:

@@ -9,10 +9,13 @@ pixels rule it out (patches that agree with the one motion alone), or the prior 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Pose2, invert, squared_mahalanobis
+from slamcli.registration import criteria
 from slamcli.registration.hypothesis import (
     MotionHypothesis,
     PyramidPair,
@@ -69,21 +72,54 @@ def starts(fit: Pose2, periods_a: Float64Array, periods_b: Float64Array) -> list
 
 
 def refined(
-    pair: PyramidPair, fit: Pose2, begun: Sequence[Pose2], calibration: Calibration
+    pair: PyramidPair, fit: MotionHypothesis, begun: Sequence[Pose2], calibration: Calibration
 ) -> Iterator[MotionHypothesis]:
-    """Yield the rivals of a fit that refinement leads to from some starts, each once."""
+    """Yield the rivals of a fit that refinement leads to from some starts, each once.
+
+    From coarse levels to fine ones, each only where the one before did not rule the rival out:
+    nearly all of those that are ruled out leave much unexplained on the coarsest already, where
+    noise and blur count less.
+    """
     found: list[Pose2] = []
-    tried: list[Pose2] = [fit]
+    tried: list[Pose2] = [fit.pose]
+    agreements = [
+        Deferred(partial(dense.agreement, a, b, fit.view_a_from_view_b))
+        for a, b in zip(pair.a, pair.b, strict=True)
+    ]
     for start in begun:
         if len(found) == _MAX_RIVALS or any(same_motion(start, one, pair) for one in tried):
             continue
         tried.append(start)
-        fine = dense.refine(pair.a, pair.b, start, calibration, 0.0)
-        if fine is None or same_motion(fine.a_from_b, fit, pair):
+        fine = _refined(pair, agreements, start, calibration)
+        if fine is None or same_motion(fine.a_from_b, fit.pose, pair):
             continue
         if not any(same_motion(fine.a_from_b, other, pair) for other in found):
             found.append(fine.a_from_b)
             yield score_refined(pair, fine)
+
+
+def _refined(
+    pair: PyramidPair,
+    agreements: Sequence[Deferred[dense.Agreement]],
+    start: Pose2,
+    calibration: Calibration,
+) -> dense.PhotometricFit | None:
+    """Return a rival refined level by level; None where its pixels do not determine it.
+
+    Nor where they rule it out: the fit, whose agreement on each level is given, explains more.
+    """
+    fine, pose = None, start
+    for level in reversed(range(len(pair.a))):
+        part = slice(level, level + 1)
+        fine = dense.refine(pair.a[part], pair.b[part], pose, calibration, 0.0)
+        if fine is None:
+            return None
+        pose = fine.a_from_b
+        if level:
+            rival = dense.agreement(pair.a[level], pair.b[level], fine.view_a_from_view_b)
+            if criteria.explains_more(agreements[level].value, rival):
+                return None
+    return fine
 
 
 def marks_support(

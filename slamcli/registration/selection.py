@@ -132,7 +132,7 @@ class PairContext:
         best = candidates[0]
         for other in candidates[1:]:
             nearly_all = best.agreement.confirmed >= criteria.SETTINGS.min_explained_share
-            if not nearly_all and criteria.explains_more(other, best):
+            if not nearly_all and criteria.explains_more(other.agreement, best.agreement):
                 best = other
         return best
 
@@ -169,9 +169,8 @@ class PairContext:
             share = other.evidence / best.evidence if best.evidence > 0 else 1.0
             if share <= self.options.max_rival_evidence:
                 return share
-            if not criteria.explains_more(best, other) and not hypotheses.preferred(
-                pair, best, other
-            ):
+            ruled_out = criteria.explains_more(best.agreement, other.agreement)
+            if not ruled_out and not hypotheses.preferred(pair, best, other):
                 return share
         return 0.0
 
@@ -192,7 +191,7 @@ class PairContext:
         if self._expected_beyond_view(near, fit):
             assert self.prior is not None
             return acceptance.expected_elsewhere(fit, self.prior.a_from_b)
-        alternatives = rivals.refined(near, fit.pose, self._suggested(fit), self.calibration)
+        alternatives = rivals.refined(near, fit, self.suggested(fit), self.calibration)
         if is_open:
             alternatives = iter(hypotheses.outside_open_direction(list(alternatives), fit))
         supported = Deferred(partial(self._marks_support, near, fit))
@@ -225,7 +224,7 @@ class PairContext:
             rival, self.max_displacement_metres, self.options
         ):
             return False
-        if criteria.explains_more(fit, rival):
+        if criteria.explains_more(fit.agreement, rival.agreement):
             return False
         if self._excludes(rival.pose, fit.pose):
             return hypotheses.preferred(near, rival, fit)
@@ -244,7 +243,7 @@ class PairContext:
             )
         return not hypotheses.preferred(near, fit, rival)
 
-    def _suggested(self, fit: MotionHypothesis) -> list[Pose2]:
+    def suggested(self, fit: MotionHypothesis) -> list[Pose2]:
         """Return the motions that the floor and the prior suggest beside a fit."""
         suggested = rivals.starts(fit.pose, self.keyframe.repeats, self.prepared.repeats)
         # A prior may be wrong; where the fit explains all, no other motion explains more.

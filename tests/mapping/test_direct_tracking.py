@@ -95,8 +95,8 @@ def test_only_keyframes_have_features_and_most_frames_take_few_kernels(
     for counted in tracked:
         assert counted["refine"] == 1
         assert not counted["periods"]
-        # Of the picture and the mask for the agreement, and of two more for the correlation.
-        assert counted["warp"] == 4
+        # Of the picture for the agreement, and of its contrast for the correlation.
+        assert counted["warp"] == 2
         # The details of three levels, and the contrast of one.
         assert counted["blur"] <= 4
     assert calls["refine"] <= 2 * FRAMES

@@ -12,8 +12,8 @@ import slamcli
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Frame, PyramidLevel, View
-from slamcli.registration import rivals
-from slamcli.registration.hypothesis import PyramidPair, score_refined
+from slamcli.registration import criteria, rivals
+from slamcli.registration.hypothesis import PyramidPair, photometric_score, score_refined
 from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import FloorOptions
 from slamcli.stages import dense
@@ -38,7 +38,7 @@ def tiles(marks: int, seed: int = 1) -> UInt8Array:
 
 
 def level_of(floor: UInt8Array, column: int, row: int, seed: int, blur: float) -> PyramidLevel:
-    """Return the finest level of a view of a part of the floor, with noise, half of it blurred."""
+    """Return half the resolution of a part of the floor, with noise, half of it blurred."""
     part = floor[row : row + SIDE, column : column + SIDE].astype(np.float64)
     if blur:
         part[:, SIDE // 2 :] = cv2.GaussianBlur(part, (0, 0), blur)[:, SIDE // 2 :]
@@ -46,7 +46,7 @@ def level_of(floor: UInt8Array, column: int, row: int, seed: int, blur: float) -
     image = np.clip(part, 0, 255).astype(np.uint8)
     mask = np.full(image.shape, 255, np.uint8)
     grid = Grid(0.0, 0.0, METRES_PER_PIXEL, SIDE, SIDE)
-    return dense.make_levels(View(grid, image, mask))[0]
+    return dense.make_levels(View(grid, image, mask))[1]
 
 
 @pytest.mark.parametrize("blur", [0.0, 1.5], ids=["sharp", "far half blurred"])
@@ -126,6 +126,8 @@ def test_rivals_are_refined_motions_other_than_the_fit_each_once(
 
     monkeypatch.setattr(dense, "refine", refine)
     monkeypatch.setattr(rivals, "score_refined", lambda pair, refined: refined.a_from_b)
+    monkeypatch.setattr(criteria, "explains_more", lambda fit, rival: False)
     starts = [Pose2(x) for x in (0.4, 0.42, 0.6, 0.8, 1.2, -0.2)]
-    found = list(rivals.refined(pair_of(), Pose2(0.05), starts, None))  # type: ignore[arg-type]
+    fit = photometric_score(pair_of(), Pose2(0.05), np.eye(3), Pose2(0.05).matrix)
+    found = list(rivals.refined(pair_of(), fit, starts, None))  # type: ignore[arg-type]
     assert found == [Pose2(0.41), Pose2(-0.2)]

@@ -176,8 +176,8 @@ def evidence(
     view_a_from_view_b : (3, 3) float64
         Metres to metres: that motion, or a `PhotometricFit`'s.
     """
-    moved, weight = warp_onto(a, b, view_a_from_view_b, b.normalised, b.weight)
-    weight = cv2.multiply(weight, a.weight)
+    moved, inside = warp_onto(a, b, view_a_from_view_b, b.normalised, b.inside)
+    weight = cv2.multiply(a.weight, inside.view(np.uint8), dtype=cv2.CV_32F)
     pixels = _total(weight)
     seen = float(min(cv2.countNonZero(a.inside), cv2.countNonZero(b.inside)))
     if pixels < _MIN_PIXELS:

@@ -87,14 +87,15 @@ def covariances_of(
     average. None where the information is not finite.
     """
     central = _about_the_middle(solved)
-    found = _seen_information(b, solved, central)
+    products = _products(b, solved)
+    found = _seen_information(products, central, len(solved.points))
     if found is None:
         return None
     seen, scales = found
     prior = central.T @ solved.prior @ central * scales
     inverse = invert(seen + prior + _MIN_INFORMATION * np.eye(len(seen)))
-    block = _blocks(b, solved)
-    scores = central.T @ _score_covariance(block, solved) @ central * scales
+    scores = _score_covariance(blocks(b, solved.points), solved, products.own)
+    scores = central.T @ scores @ central * scales
     predicted = central @ (inverse * scales) @ central.T
     shown = central @ (inverse @ (scores + prior) @ inverse * scales) @ central.T
     return np.asarray(predicted[:3, :3], np.float64), np.asarray(shown[:3, :3], np.float64)
@@ -108,48 +109,76 @@ def _about_the_middle(solved: NormalEquations) -> Float64Array:
     return central
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Products:
+    """Weighted products of the residuals' slopes by either view's gradients, summed: (K, K) each.
+
+    Attributes
+    ----------
+    own : (K, K) float64
+        Of the slopes by view a's gradients, with themselves.
+    shared : (K, K) float64
+        With those by view b's.
+    others : (K, K) float64
+        Of those by view b's, with themselves.
+    """
+
+    own: Float64Array
+    shared: Float64Array
+    others: Float64Array
+
+
+def _products(b: PyramidLevel, solved: NormalEquations) -> _Products:
+    points, count = solved.points, len(solved.slopes)
+    right, up = pyramid.slopes(b.detail, b.metres_per_pixel)
+    both = np.empty((count + 3, len(points)))
+    both[:count] = solved.slopes
+    both[count], both[count + 1] = -solved.places.sample(right), -solved.places.sample(up)
+    both[count + 2] = both[count + 1] * points[:, 0] - both[count] * points[:, 1]
+    products = (both * solved.weight) @ both.T
+    # Gain, offset and rocking change the residuals alike in either.
+    by_b = [count, count + 1, count + 2, *range(3, count)]
+    return _Products(products[:count, :count], products[:count][:, by_b], products[by_b][:, by_b])
+
+
 def _seen_information(
-    b: PyramidLevel, solved: NormalEquations, central: Float64Array
+    products: _Products, central: Float64Array, count: int
 ) -> tuple[Float64Array, Float64Array] | None:
     """Return (K, K) information that both views show, scaled, and the scales; None if infinite."""
-    points, weight = solved.points, solved.weight
-    right, up = pyramid.slopes(b.detail, b.metres_per_pixel)
-    both = solved.slopes.copy()
-    both[0], both[1] = -solved.places.sample(right), -solved.places.sample(up)
-    both[2] = both[1] * points[:, 0] - both[0] * points[:, 1]
-    first, second = central.T @ solved.slopes, central.T @ both
-    weighted = first * weight
-    shared = weighted @ second.T
-    apart = first - second
-    unshared = (apart * weight) @ apart.T / 2.0
-    scale = 1.0 / np.sqrt(np.maximum(np.einsum("kn,kn->k", weighted, first), 1e-12))
+    own, shared, others = (
+        central.T @ product @ central
+        for product in (products.own, products.shared, products.others)
+    )
+    unshared = (own - shared - shared.T + others) / 2.0
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-12))
     scales = np.outer(scale, scale)
     values, vectors = np.linalg.eigh((shared + shared.T) / 2.0 * scales)
     if not np.isfinite(values).all():
         return None
     # The products of the two views' noise, and of either's with what both show, add up by chance to
     # this; along an unobservable direction they are all there is.
-    noise = np.einsum("ki,kl,li->i", vectors, unshared * scales, vectors)
-    chance = np.sqrt((2.0 * np.maximum(values, 0.0) * noise + noise**2) / len(points))
+    noise = np.maximum(np.einsum("ki,kl,li->i", vectors, unshared * scales, vectors), 0.0)
+    chance = np.sqrt((2.0 * np.maximum(values, 0.0) * noise + noise**2) / count)
     chance = np.maximum(_CHANCE_SIGMAS * chance, _ALIASING_SHARE)
     return (vectors * np.maximum(values - chance, 0.0)) @ vectors.T, scales
 
 
-def _blocks(b: PyramidLevel, solved: NormalEquations) -> Int64Array:
-    """Return (N,): the number of the block of the view that each point lies in, from 0 on."""
+def blocks(b: PyramidLevel, points: Float64Array) -> Int64Array:
+    """Return (N,): the number of the block of the view that each of (N, 2) points lies in."""
     side = _BLOCK_PIXELS * b.metres_per_pixel
-    column, row = (np.floor(places / side).astype(np.int64) for places in solved.points.T)
+    column, row = (np.floor(places / side).astype(np.int64) for places in points.T)
     row -= row.min()
     block: Int64Array = (column - column.min()) * (row.max() + 1) + row
     return block
 
 
-def _score_covariance(block: Int64Array, solved: NormalEquations) -> Float64Array:
+def _score_covariance(
+    block: Int64Array, solved: NormalEquations, predicted: Float64Array
+) -> Float64Array:
     """Return the (K, K) covariance of the sum of the residuals' weighted slopes, by blocks."""
-    weighted = solved.slopes * solved.weight
-    sums = np.array([np.bincount(block, weights=score) for score in weighted * solved.residual])
+    weighted = solved.weight * solved.residual
+    sums = np.array([np.bincount(block, weights=slopes * weighted) for slopes in solved.slopes])
     count = float(np.count_nonzero(np.bincount(block)))
-    predicted = weighted @ solved.slopes.T
     shown = sums @ sums.T * (count / max(count - 1.0, 1.0))
     covariance: Float64Array = (count * shown + _PRIOR_BLOCKS * predicted) / (count + _PRIOR_BLOCKS)
     return covariance

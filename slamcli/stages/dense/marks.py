@@ -156,9 +156,8 @@ class _Comparison:
 
 
 def _compare(a: PyramidLevel, b: PyramidLevel, view_a_from_view_b: Float64Array) -> _Comparison:
-    detail, weight = warp_onto(a, b, view_a_from_view_b, b.detail, b.weight)
-    moved = np.asarray(detail, np.float32)
-    seen = a.weight * np.asarray(weight, np.float32) >= 1.0
+    moved, inside = warp_onto(a, b, view_a_from_view_b, b.detail, b.inside)
+    seen = inside & (a.inside == 255)
     border = np.ones((2 * _BORDER_PIXELS + 1, 2 * _BORDER_PIXELS + 1), np.uint8)
     inner = np.asarray(cv2.erode(seen.view(np.uint8), border)) > 0
     contrast = np.maximum(_mean(a.detail * a.detail), _mean(moved * moved))

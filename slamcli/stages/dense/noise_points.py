@@ -14,7 +14,7 @@ import numpy as np
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.deferred import Deferred
-from slamcli.core.records import PyramidLevel
+from slamcli.core.records import PyramidLevel, Template
 from slamcli.stages.dense import pyramid
 from slamcli.stages.dense.covariance import FitState
 from slamcli.stages.dense.photometric_residuals import (
@@ -33,6 +33,8 @@ _MAX_LOST_SHARE = 0.02
 # what is kept correlate by more than the second [guarded by benchmarks/courses.py].
 _MAX_CORRELATION_OF_NOISE = 0.5
 _MIN_CORRELATION_OF_FLOOR = 0.5
+# Points that represent all of them.
+_SAMPLE_POINTS = 4000
 
 
 def without_noise(
@@ -47,14 +49,34 @@ def without_noise(
     state : FitState
         Where the strong points of the two levels overlap already.
     """
-    strength = (a.template.value.slopes[:2] ** 2).sum(axis=0)
+    whole, every = a, a.template.value
+    if len(every.points) > _SAMPLE_POINTS:
+        step = -(-len(every.points) // _SAMPLE_POINTS)
+        a = replace(a, template=Deferred.of(every.part(slice(None, None, step))))
+    least = _least_strength(a, b, model, state)
+    if least is None:
+        return whole
+    return replace(a, template=Deferred.of(every.part(_strength(every) >= least)))
+
+
+def _strength(template: Template) -> Float64Array:
+    """Return the (N,) squared gradients of a template's points."""
+    strength: Float64Array = (template.slopes[:2] ** 2).sum(axis=0)
+    return strength
+
+
+def _least_strength(
+    a: PyramidLevel, b: PyramidLevel, model: WarpModel, state: FitState
+) -> float | None:
+    """Return the squared gradient below which points show only noise; None where none do."""
+    strength = _strength(a.template.value)
     middle = len(strength) // 2
     weaker_half = np.partition(strength, middle)[:middle]
     if weaker_half.sum() > _MAX_SHARE_OF_WEAKER_HALF * strength.sum():
-        return a
+        return None
     linear = LevelResiduals.of(a, b, model).linearise(state)
     if linear is None:
-        return a
+        return None
     right, up = pyramid.slopes(b.detail, b.metres_per_pixel)
     in_b = np.stack([-linear.places.sample(right), -linear.places.sample(up)])
     shared = (linear.slopes[:2] * in_b).sum(axis=0)
@@ -64,14 +86,13 @@ def without_noise(
     count = int(np.searchsorted(carried, _MAX_LOST_SHARE * shared.sum()))
     count = min(count, len(order) - 2 * MIN_TEMPLATE_PIXELS)
     if count <= 0:
-        return a
+        return None
     weak, kept = order[:count], order[count:]
     if _ratio(shared[weak], shown[weak]) >= _MAX_CORRELATION_OF_NOISE:
-        return a
+        return None
     if _ratio(shared[kept], shown[kept]) < _MIN_CORRELATION_OF_FLOOR:
-        return a
-    strong = strength >= shown[kept[0]]
-    return replace(a, template=Deferred.of(a.template.value.part(strong)))
+        return None
+    return float(shown[kept[0]])
 
 
 def _ratio(shared: Float64Array, shown: Float64Array) -> float:
