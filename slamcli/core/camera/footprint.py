@@ -27,7 +27,7 @@ _ROUND_STEPS = (1.0, 2.0, 5.0, 10.0)
 # Views are compared pixel by pixel with half to a quarter of the pixels that features are detected
 # in, a quarter of what the camera saw at most: that already resolves hundredths of a pixel
 # [benchmarks/accuracy.py, benchmarks/streaming.py].
-_LEAST_COARSER, _COARSER = math.sqrt(2.0), 2.0
+_LEAST_COARSER, _COARSER = 1.45, 2.0
 
 
 @lru_cache(maxsize=CACHED_CALIBRATIONS)

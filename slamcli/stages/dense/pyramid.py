@@ -28,7 +28,7 @@ _HIGH_PASS_SIZE = (25, 25)
 _MIN_WINDOW_SHARE = 0.7
 _SAMPLE_STEP = 16
 # Of a level's rows, those in which noise is measured: tens of thousands of pixels are enough.
-_NOISE_ROWS = 4
+_NOISE_ROWS = 8
 _CONTRAST_PIXELS = 5.0
 # What is flatter than this is noise; its contrast is not to be raised to that of a line. Absolute,
 # as the picture's own contrast may be that of a dark obstacle on a pale floor

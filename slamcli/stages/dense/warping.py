@@ -41,7 +41,9 @@ def warp_onto(
     size = (a.image.shape[1], a.image.shape[0])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     # One warp of floats is faster than two of bytes.
-    marked = np.where(mask == 255, picture, _NOT_SEEN)
+    marked = np.full(mask.shape, _NOT_SEEN)
+    whole = (mask == 255).view(np.uint8)
+    cv2.copyTo(picture.astype(np.float32, copy=False), whole, marked)
     moved = np.asarray(
         cv2.warpPerspective(marked, b_pixel_from_a_pixel, size, flags=flags, borderValue=math.nan),
         np.float32,
