@@ -31,7 +31,7 @@ from slamcli.survey.photometric import BEND, CAMERA, LOG_FOCAL, PITCH, ROLL, Ali
 # The cameras that are tried: pitch in degrees, and focal length in widths of the picture.
 _PITCHES, _FOCALS = (15.0, 22.0, 30.0, 40.0, 52.0), (0.55, 0.75, 1.0, 1.35)
 # Pictures are searched in this width, in views of about so many pixels, and refined in these.
-_SEARCH_WIDTH, _VIEW_PIXELS, _COARSE_WIDTH, _FINE_WIDTH = 320, 120_000, 200, 400
+_SEARCH_WIDTH, _VIEW_PIXELS, _COARSE_WIDTH, _FINE_WIDTH = 320, 30_000, 200, 400
 _SIGMAS_PIXELS, _FINE_SIGMA_PIXELS, _STEPS = (4.0, 2.0, 1.0), 1.0, 20
 _MIN_OVERLAP, _MIN_SEARCH_CORRELATION, _MIN_CORRELATION = 0.3, 0.35, 0.75
 _REFINED, _MIN_PAIRS = 5, 3
@@ -109,7 +109,7 @@ def _steps(pictures: Sequence[UInt8Array], guess: Guess) -> list[Candidate | Non
     finest = default_metres_per_pixel(calibration)
     grid = footprint(calibration, finest)
     shrink = math.sqrt(grid.width * grid.height / _VIEW_PIXELS)
-    resampler = make_view_resampler(calibration, finest * shrink)
+    resampler = make_view_resampler(calibration, finest * shrink, antialias=True)
     frames = [Frame(number, "", None, one) for number, one in enumerate(pictures)]
     coarsest = [make_levels(make_view(one, resampler, gray=True))[-1] for one in frames]
     found = []

@@ -33,7 +33,11 @@ _PROBES, _MIN_FOUND, _RIGID_SHARE = 5, 2, 0.003
 
 
 def may_rock(drive: Drive) -> bool:
-    """Return whether frames may be located so: calibrated, no sensor, no earlier map."""
+    """Return whether frames may be located so: calibrated, no sensor, no earlier map.
+
+    With `--self-calibrate` it is the calibration that frames contradict, not the mount, unless
+    that is known to vary.
+    """
     options = drive.options
     return (
         drive.inputs.calibration_path is not None
@@ -41,6 +45,7 @@ def may_rock(drive: Drive) -> bool:
         and options.extend is None
         and not drive.telemetry_files.any
         and options.mount != "rigid"
+        and (options.self_calibrate != "always" or options.moves_freely)
     )
 
 
