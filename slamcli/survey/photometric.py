@@ -35,6 +35,8 @@ _MAX_POINTS, _BORDER_PIXELS, _BEHIND_PIXELS = 500, 2, 1e4
 # Of rows of points: the derivative of a turn by its angle.
 _QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 _DIFFERENCE, _MIN_SHARED_POINTS = 1e-5, 30
+# A step of a search that diverges is not followed beyond a focal length of so many widths.
+_MAX_LOG_FOCAL = math.log(100.0)
 # Errors of neighbouring pixels along an edge are one error: so many points count as one.
 _DEPENDENT_POINTS = 10.0
 
@@ -183,7 +185,8 @@ class _Lens:
     """The projection between the floor, in heights of the camera, and pixels from the middle."""
 
     def __init__(self, camera: Float64Array, width: int) -> None:
-        self.focal, self.bend = width * math.exp(camera[LOG_FOCAL]), float(camera[BEND])
+        log_focal = min(max(float(camera[LOG_FOCAL]), -_MAX_LOG_FOCAL), _MAX_LOG_FOCAL)
+        self.focal, self.bend = width * math.exp(log_focal), float(camera[BEND])
         matrix = np.diag([self.focal, self.focal, 1.0])
         tilt = float(camera[PITCH]), float(camera[ROLL])
         self.image_from_floor = image_from_robot_homography(matrix, 1.0, *tilt)
