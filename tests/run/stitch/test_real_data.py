@@ -22,6 +22,7 @@ def run(*arguments: object) -> str:
     return result.output
 
 
+@pytest.mark.slow
 def test_the_real_course_is_one_map(data_folder: Path, tmp_path: Path) -> None:
     calibration = tmp_path / "calibration.yaml"
     photo = data_folder / "course" / "c01.jpg"
