@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -149,6 +149,10 @@ class PyramidLevel:
     def points(self) -> Float64Array:
         """Of the template."""
         return self.template.value.points
+
+    def part(self, chosen: BoolArray | slice) -> PyramidLevel:
+        """Return the level with some of the template's points."""
+        return replace(self, template=Deferred.of(self.template.value.part(chosen)))
 
     @property
     def normalised(self) -> Float32Array:

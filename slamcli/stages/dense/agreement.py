@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array
-from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Pose2, apply_homography, invert
 from slamcli.core.records import PyramidLevel
 from slamcli.stages.dense.warping import warp_onto
@@ -180,7 +179,7 @@ def keep_agreeing_points(
         column, row = np.floor_divide(np.rint(pixels), _PATCH_PIXELS).astype(np.int64).T
         inside = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
         inside[inside] = agree[row[inside], column[inside]]
-        kept.append(replace(level, template=Deferred.of(level.template.value.part(inside))))
+        kept.append(level.part(inside))
     return tuple(kept)
 
 

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
-from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Pose2, invert
 from slamcli.core.records import PyramidLevel
 from slamcli.core.robust import SIGMA_PER_MAD
@@ -29,6 +28,7 @@ from slamcli.stages.dense.photometric_residuals import (
     Linearisation,
     MotionPrior,
     WarpModel,
+    sampled,
 )
 
 _MAX_ITERATIONS = 12
@@ -36,7 +36,6 @@ _MAX_ITERATIONS = 12
 # has converged, it may be larger: it leaves only a small share of itself
 # [guarded by benchmarks/accuracy.py and benchmarks/streaming.py].
 _CONVERGED_PIXELS, _NEARLY_CONVERGED_PIXELS = 0.003, 0.03
-_SAMPLE_POINTS = 4000
 _HUBER_SIGMAS = 1.5
 # Residuals whose spread stands for that of all.
 _SPREAD_POINTS = 2000
@@ -187,10 +186,9 @@ def _coarse_to_fine(
         finest = level_a is levels_a[0]
         level_a = without_noise(level_a, level_b, model, state)
         # A sample of the points converges first: all of them then take a step or two.
-        samples = [_sampled(level_a)] if len(level_a.points) > _SAMPLE_POINTS else []
-        if finest:
-            samples.append(level_a)
-        for sample in samples or [level_a]:
+        some = sampled(level_a)
+        samples = [some, level_a] if finest and some is not level_a else [some]
+        for sample in samples:
             last = finest and len(samples) < 2
             min_pixels = _CONVERGED_PIXELS if last else _NEARLY_CONVERGED_PIXELS
             solved = _refine_level(sample, level_b, model, state, min_pixels)
@@ -198,12 +196,6 @@ def _coarse_to_fine(
                 return None
             state = solved.state
     return solved
-
-
-def _sampled(level: PyramidLevel) -> PyramidLevel:
-    """Return a level with some of its points, evenly taken."""
-    step = -(-len(level.points) // _SAMPLE_POINTS)
-    return replace(level, template=Deferred.of(level.template.value.part(slice(None, None, step))))
 
 
 def _refine_level(

@@ -8,12 +8,9 @@ gradients in both; the noise of two views has not.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.deferred import Deferred
 from slamcli.core.records import PyramidLevel, Template
 from slamcli.stages.dense import pyramid
 from slamcli.stages.dense.covariance import FitState
@@ -21,6 +18,7 @@ from slamcli.stages.dense.photometric_residuals import (
     MIN_TEMPLATE_PIXELS,
     LevelResiduals,
     WarpModel,
+    sampled,
 )
 
 # The weaker half of a texture's points carries a fifth to two fifths of the squared gradients, that
@@ -33,8 +31,6 @@ _MAX_LOST_SHARE = 0.02
 # what is kept correlate by more than the second [guarded by benchmarks/courses.py].
 _MAX_CORRELATION_OF_NOISE = 0.5
 _MIN_CORRELATION_OF_FLOOR = 0.5
-# Points that represent all of them.
-_SAMPLE_POINTS = 4000
 
 
 def without_noise(
@@ -49,14 +45,8 @@ def without_noise(
     state : FitState
         Where the strong points of the two levels overlap already.
     """
-    whole, every = a, a.template.value
-    if len(every.points) > _SAMPLE_POINTS:
-        step = -(-len(every.points) // _SAMPLE_POINTS)
-        a = replace(a, template=Deferred.of(every.part(slice(None, None, step))))
-    least = _least_strength(a, b, model, state)
-    if least is None:
-        return whole
-    return replace(a, template=Deferred.of(every.part(_strength(every) >= least)))
+    least = _least_strength(sampled(a), b, model, state)
+    return a if least is None else a.part(_strength(a.template.value) >= least)
 
 
 def _strength(template: Template) -> Float64Array:

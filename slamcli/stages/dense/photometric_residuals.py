@@ -15,6 +15,15 @@ from slamcli.stages.dense import pyramid, rocking
 from slamcli.stages.dense.covariance import FitState
 
 MIN_TEMPLATE_PIXELS = 200
+# Points of a level that represent all of them
+# [guarded by benchmarks/accuracy.py and benchmarks/streaming.py].
+_SAMPLE_POINTS = 4000
+
+
+def sampled(level: PyramidLevel) -> PyramidLevel:
+    """Return a level with some of its points, evenly taken; itself where these are few."""
+    step = -(-len(level.points) // _SAMPLE_POINTS)
+    return level.part(slice(None, None, step)) if step > 1 else level
 
 
 @dataclass(frozen=True, slots=True, eq=False)

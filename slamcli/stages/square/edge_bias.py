@@ -29,7 +29,6 @@ from slamcli.stages.square.step_model import (
     StepParameters,
     codes_of_step,
     fine_distances,
-    light_of_step,
 )
 
 _REACH_PIXELS = 8.0
@@ -148,7 +147,8 @@ def _replace_side(
 
     def modelled(vector: Float64Array) -> Float64Array:
         parameters = StepParameters.from_vector(vector)
-        return light_of_step(parameters, row, profiles.widths, fine, gamma)
+        codes = codes_of_step(parameters, row, profiles.widths, fine, gamma)
+        return light_of_fractions(codes, gamma)
 
     # By the place of the side, and by share, log radius and blur.
     start = fitted.vector
@@ -172,7 +172,8 @@ def _replace_side(
     places = place + left @ shift / np.clip(relative, *_RELATIVE_RANGE)
     points = undistort_points(lens, profiles.origins + profiles.normals * places[:, None])
     side = fit_side_robustly(points, profiles.total, lens.image_size[0])
-    level = light_of_step(fitted, row, profiles.widths, fine, gamma, level=True)
+    codes = codes_of_step(fitted, row, profiles.widths, fine, gamma, level=True)
+    level = light_of_fractions(codes, gamma)
     misplaced = locate_edges(profiles.sample(level), profiles.offsets).places - place
     return _Replaced(
         side=replace(side, bow_pixels=known.bow_pixels, blur_pixels=known.blur_pixels),

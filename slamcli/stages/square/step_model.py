@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.special import ndtr
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.light import Gamma, codes_of_light, light_of_fractions
+from slamcli.core.light import Gamma, codes_of_light
 
 FINE_STEP_PIXELS = 1.0 / 16.0
 # Numbers that all sides have in common, and those of one side.
@@ -86,20 +86,6 @@ def codes_of_step(
     radius = parameters.radius_pixels / FINE_STEP_PIXELS
     blurred = gaussian_filter1d(code, radius, mode="nearest", truncate=4.0)
     return np.clip(code + parameters.share * (code - blurred), 0.0, 255.0)
-
-
-def light_of_step(
-    parameters: StepParameters,
-    row: int,
-    widths: tuple[float, float],
-    fine: Float64Array,
-    gamma: Gamma,
-    *,
-    level: bool = False,
-) -> Float64Array:
-    """Return (F,) light that pixels seem to have, as `codes_of_step` their codes."""
-    codes = codes_of_step(parameters, row, widths, fine, gamma, level=level)
-    return light_of_fractions(codes, gamma)
 
 
 def _step_over_pixels(
