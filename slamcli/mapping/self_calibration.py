@@ -6,7 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from slamcli.core.camera.calibration import Calibration
+from slamcli.core.errors import FrameError
 from slamcli.core.records import Frame
+from slamcli.mapping.frame_checks import refused
 from slamcli.mapping.keyframe_views import with_new_views
 from slamcli.mapping.mapper import Mapper
 from slamcli.selfcal import BRIEF, RegisteredDrive, SelfCalibration, refine_calibration
@@ -33,8 +35,11 @@ def self_calibrate(
 
     def register(calibration: Calibration) -> RegisteredDrive:
         anew = Mapper(calibration, mapper.options)
-        for index in range(mapper.frame_count):
-            anew.update(read(index))
+        for known in mapper.estimates:
+            try:
+                anew.update(read(known.index))
+            except FrameError as error:
+                anew.step(refused(known, str(error)))
         anew.finish()
         return registration_of(anew)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,10 @@ from worlds import make_photographer, take
 import slamcli
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.mounting import compose_robot_from_image
+from slamcli.core.errors import FrameError
 from slamcli.io.map_file import save_map
+from slamcli.mapping import self_calibration
+from slamcli.selfcal import SelfCalibration
 
 
 def with_longer_focal_length(true: Calibration, factor: float) -> Calibration:
@@ -49,3 +53,34 @@ def test_a_wrong_focal_length_is_found_by_the_frames(tmp_path: Path) -> None:
     assert (there.inverse() @ found.map_from_robot).translation_length < 0.003
     assert mapper.calibration is wrong
     assert math.isfinite(done.pixels_after)
+
+
+def test_a_frame_that_cannot_be_read_again_is_lost_with_its_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    photographer = make_photographer()
+    mapper = slamcli.Mapper(photographer.calibration)
+    frames = [
+        slamcli.Frame(k, f"{k}.png", None, take(photographer, slamcli.Pose2(0.04 * k), k))
+        for k in range(3)
+    ]
+    for frame in frames:
+        mapper.update(frame)
+    mapper.finish()
+
+    def read(index: int) -> slamcli.Frame:
+        if index == 1:
+            raise FrameError("cannot be read: the disk is gone")
+        return frames[index]
+
+    registered = []
+
+    def refine(first: object, read: object, register: Any, *others: object) -> SelfCalibration:
+        registered.append(register(photographer.calibration))
+        return SelfCalibration(registered[0], "not applied", "")
+
+    monkeypatch.setattr(self_calibration, "refine_calibration", refine)
+    slamcli.self_calibrate(mapper, read)
+    statuses = [(one.name, one.status, one.reason) for one in registered[0].estimates]
+    assert statuses[1] == ("1.png", "lost", "cannot be read: the disk is gone")
+    assert [status for _, status, _ in statuses] == ["tracked", "lost", "tracked"]
