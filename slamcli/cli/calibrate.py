@@ -34,10 +34,11 @@ _target_options = stacked(
         "The square's corners, pixels. In any order; default: the square is detected.",
     ),
     click.option(
-        "--refine",
-        is_flag=True,
+        "--refine/--no-refine",
+        default=None,
         help="Move --corners to edges, or refine -c by frames. With --corners: to the edges "
-        "nearby; with -c: self-calibration by the frames of a drive, in place of photos.",
+        "nearby, by default where they are found; with -c: self-calibration by the frames of a "
+        "drive, in place of photos.",
     ),
     common.calibration,
     _target(
@@ -84,7 +85,7 @@ _target_options = stacked(
 def calibrate(
     photos: tuple[Path, ...],
     side: float,
-    refine: bool,
+    refine: bool | None,
     calibration: Path | None,
     max_range: float | None,
     output: Path,

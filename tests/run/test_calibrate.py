@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -430,17 +431,22 @@ def test_corners_that_are_not_those_of_a_square_are_reported(tmp_path: Path) -> 
     corners = [(float(x), float(y)) for x, y in photo.corners]
     wrong = [corners[0], corners[1], corners[2], (corners[3][0], corners[3][1] + 10.0)]
     for given, noted in ((corners, False), (wrong, True)):
-        options = CalibrateOptions(SIDE_METRES, corners=tuple(given))
+        options = CalibrateOptions(SIDE_METRES, corners=tuple(given), refine=False)
         assert ("fits a flat floor only to" in notes_of(photo, tmp_path, options)) == noted
 
 
-def test_corners_away_from_the_pictures_edges_are_reported(tmp_path: Path) -> None:
+def test_corners_read_coarsely_are_moved_to_the_pictures_edges(tmp_path: Path) -> None:
     photo = Photo(focal=560.0)
     corners = [(float(x), float(y)) for x, y in photo.corners]
-    coarse = [(corners[0][0] + 2.0, corners[0][1] + 2.0), *corners[1:]]
-    for given, noted in ((corners, False), (coarse, True)):
+    coarse = [(corners[0][0] + 2.0, corners[0][1] + 3.0), *corners[1:]]
+    for given, moved in ((corners, False), (coarse, True)):
         options = CalibrateOptions(SIDE_METRES, corners=tuple(given))
-        assert ("from the given corners; --refine" in notes_of(photo, tmp_path, options)) == noted
+        assert ("the given corners are moved" in notes_of(photo, tmp_path, options)) == moved
+        found = load_calibration(tmp_path / "out.yaml")
+        assert found.height_metres == pytest.approx(photo.height, rel=2e-3)
+    assert not notes_of(photo, tmp_path, replace(options, refine=False))
+    found = load_calibration(tmp_path / "out.yaml")
+    assert found.height_metres != pytest.approx(photo.height, rel=2e-3)
 
 
 def blank_photo(folder: Path) -> Path:

@@ -44,8 +44,8 @@ from slamcli.stages.calibrate import board
 
 # Error of a given corner, one sigma, where nothing measured it.
 _GIVEN_CORNER_SIGMA_PIXELS = 0.5
-# Corners that are farther from the picture's edges were read too coarsely: three sigmas. Two pixels
-# at the near edge of a low camera's square are one or two per cent of the map's scale.
+# Corners moved farther to the picture's edges are reported: three sigmas. At the near edge of a low
+# camera's square two pixels are one or two per cent of the map's scale.
 _MAX_CORNER_ERROR_PIXELS = 1.5
 # Of a focal length noted in whole millimetres of 35 mm film, as a share: rounding, focus, crop.
 _NOTED_FOCAL_SIGMA = 0.05
@@ -77,8 +77,8 @@ class CalibrateOptions:
         Of the square, the marker, or one field of the chessboard.
     corners : tuple of (x, y) pairs or None
         Pixels; any order.
-    refine : bool
-        Move the given corners to the picture's edges nearby.
+    refine : bool or None
+        Move the given corners to the picture's edges nearby; None where they are found.
     chessboard : (float, float) or None
         Inner corners along both sides; whole numbers.
     marker : str or None
@@ -96,7 +96,7 @@ class CalibrateOptions:
 
     side_metres: float
     corners: tuple[tuple[float, float], ...] | None = None
-    refine: bool = False
+    refine: bool | None = None
     chessboard: tuple[float, float] | None = None
     marker: str | None = None
     intrinsics_path: Path | None = None
@@ -242,25 +242,30 @@ def find_target(
     lens = intrinsics or _plain_lens(size)
     if options.chessboard is not None:
         return _chessboard(image, options, lens)
-    if options.corners is not None and not options.refine:
-        return _given_corners(image, solving.sort_corners(options.corners, size), options, lens)
+    if options.corners is not None:
+        corners = solving.sort_corners(options.corners, size)
+        return _given_corners(image, corners, options, intrinsics)
     name = "square"
     notes: list[str] = []
-    if options.corners is not None:
-        found = square.refine_square(
-            image, solving.sort_corners(options.corners, size), lens, options.gamma
-        )
-    elif options.marker is not None:
+    if options.marker is not None:
         marker, number = board.find_marker(image, options.marker)
         found = square.refine_square(image, solving.sort_corners(marker, size), lens, options.gamma)
         name = f"aruco {options.marker.lower()} {number}"
     else:
         found, notes = _search_square(image, intrinsics, options.gamma)
-    notes += _bow_note(found, intrinsics)
-    points = solving.FloorPoints(
-        solving.square_target(options.side_metres), found.quad.corners, found.quad.covariance
-    )
-    return Target(name, points, found.corners, tuple(notes))
+    return _square_target(name, found, options, intrinsics, notes)
+
+
+def _square_target(
+    name: str,
+    found: square.Square,
+    options: CalibrateOptions,
+    intrinsics: Intrinsics | None,
+    notes: Sequence[str],
+) -> Target:
+    floor = solving.square_target(options.side_metres)
+    points = solving.FloorPoints(floor, found.quad.corners, found.quad.covariance)
+    return Target(name, points, found.corners, (*notes, *_bow_note(found, intrinsics)))
 
 
 def _chessboard(image: UInt8Array, options: CalibrateOptions, lens: Lens) -> Target:
@@ -275,28 +280,35 @@ def _chessboard(image: UInt8Array, options: CalibrateOptions, lens: Lens) -> Tar
 
 
 def _given_corners(
-    image: UInt8Array, corners: Float64Array, options: CalibrateOptions, lens: Lens
+    image: UInt8Array,
+    corners: Float64Array,
+    options: CalibrateOptions,
+    intrinsics: Intrinsics | None,
 ) -> Target:
+    """Return the square of given corners, moved to the picture's edges where these are found."""
+    lens = intrinsics or _plain_lens((image.shape[1], image.shape[0]))
+    if options.refine is not False:
+        try:
+            found = square.refine_square(image, corners, lens, options.gamma)
+        except CalibrationError:
+            if options.refine:
+                raise
+        else:
+            notes = _moved_note(corners, found.corners)
+            return _square_target("square", found, options, intrinsics, notes)
     covariance = np.eye(8) * _GIVEN_CORNER_SIGMA_PIXELS**2
-    target = solving.square_target(options.side_metres)
-    points = solving.FloorPoints(target, undistort_points(lens, corners), covariance)
-    return Target("square", points, corners, _off_edges(image, corners, options.gamma, lens))
+    floor = solving.square_target(options.side_metres)
+    points = solving.FloorPoints(floor, undistort_points(lens, corners), covariance)
+    return Target("square", points, corners, ())
 
 
-def _off_edges(
-    image: UInt8Array, corners: Float64Array, gamma: Gamma, lens: Lens
-) -> tuple[str, ...]:
-    """Return a note where the picture's edges meet away from the given corners."""
-    try:
-        found = square.refine_square(image, corners, lens, gamma)
-    except CalibrationError:
-        return ()
-    off = float(np.linalg.norm(found.corners - corners, axis=1).max())
+def _moved_note(given: Float64Array, found: Float64Array) -> tuple[str, ...]:
+    off = float(np.linalg.norm(found - given, axis=1).max())
     if off <= _MAX_CORNER_ERROR_PIXELS:
         return ()
     return (
-        f"the picture's edges meet up to {off:.1f} px from the given corners; --refine moves them "
-        "there",
+        f"the given corners are moved by up to {off:.1f} px, to where the picture's edges meet; "
+        "--no-refine keeps them",
     )
 
 
