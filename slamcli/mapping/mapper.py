@@ -320,6 +320,12 @@ class Mapper:
 
     def _insert(self, prepared: PreparedFrame, results: list[RegistrationResult]) -> PoseEstimate:
         """Insert a frame by its links into the pose graph; close the loops of a new keyframe."""
+        results = [
+            camera_tilt.with_rocking(
+                result, self._tracking.tilts_radians, self.calibration, self.options
+            )
+            for result in results
+        ]
         accepted = [(result, result.link) for result in results if result.link is not None]
         links = [link for _, link in accepted]
         # Keyframe selection: the latest placed frame becomes one when tracking needed it.

@@ -357,6 +357,18 @@ def test_a_camera_may_rock_by_more_than_its_tilt_sigma(place: int) -> None:
     assert metres < 0.00012
 
 
+def test_rocking_leaves_a_motion_over_lines_as_uncertain_as_it_is() -> None:
+    """What tilt and motion have in common was taken for aliasing: one sigma of 580 mm."""
+    calibration, a, b = rocked_pair("course", 0.5, 1)
+    levels = a.levels[:2], b.levels[:2]
+    refined = dense.refine(*levels, ROCKED_MOTION, calibration, math.radians(0.5))
+    assert refined is not None
+    metres, _ = error_of(refined.a_from_b, ROCKED_MOTION)
+    assert metres < 0.0008
+    for covariance in (refined.covariance, refined.predicted_covariance):
+        assert 0.0005 < math.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[1]) < 0.002
+
+
 def test_much_rocking_is_found_from_a_fit_with_less_of_it() -> None:
     """Features start 10 mm off, where few patches agree; from there it comes out 0.4 mm off."""
     calibration, a, b = rocked_pair("carpet", 0.5, 3)

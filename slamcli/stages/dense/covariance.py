@@ -24,8 +24,10 @@ _MIN_INFORMATION = 1e-8
 # sigmas by benchmarks/sigmas.py: NEES].
 _CHANCE_SIGMAS = 5.0
 # Aliasing of an edge in the camera's pixels, and the blocks of a JPEG, move with the camera and not
-# with the floor: this share of an edge's gradient along it is no information
-# [guarded by benchmarks/robustness.py: jpeg, textureless-course].
+# with the floor: this share of an edge's gradient along it is no information, or of all information
+# where that is less: what rocking and motion have in common moves nothing far along an edge
+# [guarded by benchmarks/robustness.py: jpeg, textureless-course; rocking on the course: NEES of
+# links 0.3 in the median by all information alone, 2.4].
 _ALIASING_SHARE = 0.01
 # Side of a block, pixels of the finest level: more than blur and texture correlate over, few enough
 # for many blocks a view [benchmarks/sigmas.py: NEES 2.2 to 5 at 16 and 32, up to twice that at 64].
@@ -82,16 +84,24 @@ class NormalEquations:
 
 
 def covariances_of(
-    b: PyramidLevel, solved: NormalEquations
+    b: PyramidLevel, solved: NormalEquations, along_edges: Float64Array | None = None
 ) -> tuple[Float64Array, Float64Array] | None:
     """Return the (3, 3) covariance of the motion, predicted and as the residuals show it.
 
     The noise of one view has gradients too, which would pass for information about a motion along a
     plain line; in the product with the other view's, whose noise is independent, they cancel on
     average. None where the information is not finite.
+
+    Parameters
+    ----------
+    b : PyramidLevel
+    solved : NormalEquations
+    along_edges : (K, N) float64 or None
+        The slopes, if the gradients were turned by a right angle; None for a steady camera, of
+        whose motions no two have most in common.
     """
     central = _about_the_middle(solved)
-    products = _products(b, solved)
+    products = _products(b, solved, along_edges)
     found = _seen_information(products, central, len(solved.points))
     if found is None:
         return None
@@ -125,14 +135,19 @@ class _Products:
         With those by view b's.
     others : (K, K) float64
         Of those by view b's, with themselves.
+    along : (K, K) float64 or None
+        Of the slopes by view a's gradients turned by a right angle, with themselves.
     """
 
     own: Float64Array
     shared: Float64Array
     others: Float64Array
+    along: Float64Array | None
 
 
-def _products(b: PyramidLevel, solved: NormalEquations) -> _Products:
+def _products(
+    b: PyramidLevel, solved: NormalEquations, along_edges: Float64Array | None
+) -> _Products:
     points, count = solved.points, len(solved.slopes)
     right, up = pyramid.slopes(b.detail, b.metres_per_pixel)
     both = np.empty((count + 3, len(points)))
@@ -142,7 +157,9 @@ def _products(b: PyramidLevel, solved: NormalEquations) -> _Products:
     products = (both * solved.weight) @ both.T
     # Gain, offset and rocking change the residuals alike in either.
     by_b = [count, count + 1, count + 2, *range(3, count)]
-    return _Products(products[:count, :count], products[:count][:, by_b], products[by_b][:, by_b])
+    along = None if along_edges is None else (along_edges * solved.weight) @ along_edges.T
+    own, shared, others = products[:count, :count], products[:count], products[by_b]
+    return _Products(own, shared[:, by_b], others[:, by_b], along)
 
 
 def _seen_information(
@@ -163,7 +180,11 @@ def _seen_information(
     # this; along an unobservable direction they are all there is.
     noise = np.maximum(np.einsum("ki,kl,li->i", vectors, unshared * scales, vectors), 0.0)
     chance = np.sqrt((2.0 * np.maximum(values, 0.0) * noise + noise**2) / count)
-    chance = np.maximum(_CHANCE_SIGMAS * chance, _ALIASING_SHARE)
+    aliasing = np.full(len(values), _ALIASING_SHARE)
+    if products.along is not None:
+        along = central.T @ products.along @ central * scales
+        aliasing *= np.minimum(np.einsum("ki,kl,li->i", vectors, along, vectors), 1.0)
+    chance = np.maximum(_CHANCE_SIGMAS * chance, aliasing)
     return (vectors * np.maximum(values - chance, 0.0)) @ vectors.T, scales
 
 
@@ -208,7 +229,8 @@ def _without_own_block(
     products = (part * solved.weight[::step][order])[:, None] * part[None]
     own = np.zeros((sums.shape[1], *information.shape))
     own[some[order][first]] = step * np.add.reduceat(products, first, axis=2).transpose(2, 0, 1)
-    whole = information + solved.prior
+    # Of the same points: a block's share is then never more than all there is.
+    whole = own.sum(axis=0) + solved.prior
     share = own @ invert(whole + _MIN_INFORMATION * np.diag(np.diag(whole)))
     left = np.eye(len(sums)) - _LEVERAGE_SHARE * share
     return np.asarray(np.linalg.solve(left, sums.T[..., None])[..., 0].T, np.float64)

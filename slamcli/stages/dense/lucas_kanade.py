@@ -148,7 +148,8 @@ def refine(
     moved = a_from_b.inverse() @ solved.state.a_from_b
     if _ran_away(moved, levels_a, from_search=assumptions.from_search):
         return None
-    covariances = covariances_of(levels_b[0], solved)
+    along_edges = rocking.slopes_along_edges(solved, calibration, sigmas)
+    covariances = covariances_of(levels_b[0], solved, along_edges)
     if covariances is None:
         return None
     predicted, shown = covariances

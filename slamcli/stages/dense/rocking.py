@@ -31,6 +31,8 @@ _MIN_GAIN_BETWEEN_BLOCKS = 16.8
 # add up to about six; what both frames have in common hardly shows, and stays at nothing.
 _MAX_SQUARED_SIGMAS = 6.0
 _MAX_TEST_POINTS = 4000
+# Of a steady camera: the motion, gain and offset.
+_STEADY_UNKNOWNS = 5
 
 
 def mounting_sigmas(calibration: Calibration, tilt_sigma_radians: float) -> Float64Array:
@@ -102,6 +104,23 @@ def slopes(
     slopes_a = shifts_a[:, 0] * gradients_a[0] + shifts_a[:, 1] * gradients_a[1]
     slopes_b = shifts_b[:, 0] * gradients_b[0] + shifts_b[:, 1] * gradients_b[1]
     return np.concatenate([-slopes_a, slopes_b])
+
+
+def slopes_along_edges(
+    solved: NormalEquations, calibration: Calibration, sigmas: Float64Array
+) -> Float64Array | None:
+    """Return (K, N): the slopes, if the gradients were turned by a right angle.
+
+    None for a steady camera, whose (K,) sigmas are empty.
+    """
+    if not len(sigmas):
+        return None
+    right, up = -solved.slopes[1], solved.slopes[0]
+    turn = up * solved.points[:, 0] - right * solved.points[:, 1]
+    light = np.zeros((_STEADY_UNKNOWNS - 3, len(turn)))
+    steady = np.concatenate([right[None], up[None], turn[None], light])
+    rocking = _slopes_of_rocking(solved, steady, solved.points, calibration, sigmas)
+    return np.concatenate([steady, rocking])
 
 
 def exceeds_sigmas(state: FitState, sigmas: Float64Array) -> bool:
