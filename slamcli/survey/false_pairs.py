@@ -2,12 +2,12 @@
 
 Copied texture, as on a floor of boards with few prints, gives false pairs that agree with one
 another, so that their residuals are small. But they lay strips of frames over one another, and
-there the pixels differ.
+there the pixels differ; or true pairs contradict them. Either way pairs that are not all true close
+a cycle, and of a cycle the pair is false whose own pixels agree least: a copy is never exact.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 
 from slamcli.core.geometry import invert
@@ -48,23 +48,37 @@ def contradicted_overlaps(
     return [pair for pair in predicted if unrelated(*pair) > MAX_UNRELATED_SHARE]
 
 
-def least_consistent(pairs: Sequence[Pair], contradicted: Sequence[NumberPair]) -> Pair:
-    """Return the pair on most of the shortest paths between frames of contradicted overlaps.
+def least_correlated(
+    pairs: Sequence[Pair], overlapping: Sequence[NumberPair], outliers: Sequence[Pair]
+) -> Pair | None:
+    """Return, of the pairs of a map, the least correlated one of its contradictory cycles.
 
-    Of those with as many, the one with most unrelated floor, then the weakest.
+    None where there are none, or where in each the outlier itself agrees least.
+
+    Parameters
+    ----------
+    pairs : sequence of Pair
+        The map's own.
+    overlapping : sequence of (int, int)
+        Frames whose overlap shows unrelated floor: they, and the pairs between them.
+    outliers : sequence of Pair
+        Verified pairs that the map contradicts: they, and the pairs between their frames.
     """
     neighbours: dict[int, list[tuple[int, Pair]]] = {}
     for pair in pairs:
         neighbours.setdefault(pair.a, []).append((pair.b, pair))
         neighbours.setdefault(pair.b, []).append((pair.a, pair))
-    counted = Counter[Pair]()
-    for a, b in contradicted:
-        counted.update(_path(neighbours, a, b))
 
-    def order(pair: Pair) -> tuple[float, ...]:
-        return counted[pair], pair.unrelated_share, -pair.strength, -pair.a, -pair.b
+    def order(pair: Pair) -> tuple[float, int, int]:
+        return pair.correlation, pair.a, pair.b
 
-    return max(counted, key=order)
+    found = [min(_path(neighbours, a, b), key=order) for a, b in overlapping]
+    for pair in outliers:
+        if pair.a in neighbours and pair.b in neighbours:
+            least = min(_path(neighbours, pair.a, pair.b), key=order)
+            if least.correlation < pair.correlation:
+                found.append(least)
+    return min(found, key=order, default=None)
 
 
 def _path(neighbours: dict[int, list[tuple[int, Pair]]], start: int, goal: int) -> list[Pair]:

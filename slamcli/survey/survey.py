@@ -11,7 +11,7 @@ import numpy as np
 from slamcli.survey import candidates
 from slamcli.survey.bundle import ALL_MATCHES, Bundle, LensFree, adjust
 from slamcli.survey.candidates import NumberPair
-from slamcli.survey.false_pairs import contradicted_overlaps, least_consistent, overlaps
+from slamcli.survey.false_pairs import contradicted_overlaps, least_correlated, overlaps
 from slamcli.survey.features import SurveyFeatures
 from slamcli.survey.in_order import InOrder
 from slamcli.survey.lens import Lens, Mount
@@ -128,14 +128,18 @@ def _without_false(
     while True:
         left = [pair for pair in pairs if pair not in false]
         maps, contradicted = _solve(left, len(features), lens, level=level)
-        found = [
-            least_consistent(one.pairs, overlapping)
-            for one in maps
-            if (overlapping := contradicted_overlaps(one.bundle, one.frames, one.pairs, features))
-        ]
-        if not found:
+        found = [_false_pair(one, contradicted, features) for one in maps]
+        if not any(found):
             return maps, [*contradicted, *false]
-        false += found
+        false += [pair for pair in found if pair is not None]
+
+
+def _false_pair(
+    one: SurveyMap, contradicted: Sequence[Pair], features: Sequence[SurveyFeatures]
+) -> Pair | None:
+    """Return a false pair of a map, by its overlaps and by the pairs that it contradicts."""
+    overlapping = contradicted_overlaps(one.bundle, one.frames, one.pairs, features)
+    return least_correlated(one.pairs, overlapping, contradicted)
 
 
 def _solve(
