@@ -24,9 +24,9 @@ from slamcli.registration import (
     direct,
     register,
     register_where_features_agree,
-    rivals,
 )
 from slamcli.registration.hypothesis import PyramidPair
+from slamcli.registration.marks import RepeatMarks
 from slamcli.stages import dense
 from slamcli.stages.place_index import PlaceCandidate
 
@@ -152,7 +152,7 @@ class Relocalizer:
         if result.fit is None or not any(len(shifts) for shifts in periods):
             return True
         pair = PyramidPair(result.keyframe.levels, result.prepared.levels)
-        return rivals.marks_support(pair, result.fit, *periods, self._calibration, alone=True)
+        return RepeatMarks(pair, *periods, self._calibration).support(result.fit, alone=True)
 
     def track(
         self, a: int, prepared: PreparedFrame, prior: dense.MotionPrior

@@ -14,7 +14,7 @@ from functools import partial
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.deferred import Deferred
-from slamcli.core.geometry import Pose2, invert, squared_mahalanobis
+from slamcli.core.geometry import Pose2, squared_mahalanobis
 from slamcli.registration import criteria
 from slamcli.registration.hypothesis import (
     MotionHypothesis,
@@ -33,15 +33,6 @@ _MIN_EXCLUDED = 36.0
 # Of the rivals that a floor suggests, those followed, nearest first: a lattice has eight
 # neighbours [guarded by benchmarks/tiles.py].
 _MAX_RIVALS = 8
-# Marks by which a view differs from itself, one period on, that a fit must explain to be supported
-# [guarded by benchmarks/tiles.py: 0.45 m].
-_MIN_MARKS_OF_A_VIEW = 3
-# The multiple of the marks that a fit leaves unexplained that it must explain
-# [benchmarks/tiles.py, 0.30 and 0.45 m: right motions 3:1 to 21:0, those one tile off 0:18 to 2:2].
-_MIN_MARKS_RATIO = 3.0
-# Likewise where nothing else supports it [benchmarks/tiles.py, 0.45 m: a false loop has 4:1].
-_MIN_MARKS_ALONE = 6
-_MIN_MARKS_RATIO_ALONE = 8.0
 
 
 def is_expected(prior: dense.MotionPrior | None, pose: Pose2) -> bool:
@@ -104,44 +95,6 @@ def refined(
 
 def _agreement(pair: PyramidPair, view_a_from_view_b: Float64Array) -> dense.Agreement:
     return dense.agreement(pair.a[0], pair.b[0], view_a_from_view_b)
-
-
-def marks_support(
-    pair: PyramidPair,
-    fit: MotionHypothesis,
-    periods_a: Float64Array,
-    periods_b: Float64Array,
-    calibration: Calibration,
-    *,
-    alone: bool = False,
-) -> bool:
-    """Return whether the marks on a floor that repeats are where a fit puts them.
-
-    The marks are where a view differs from itself one period on. Not so where there are too few.
-
-    Parameters
-    ----------
-    pair : PyramidPair
-    fit : MotionHypothesis
-    periods_a, periods_b : (K, 2) float64
-        Shifts, metres in each robot's axes, by which the views look like themselves.
-    calibration : Calibration
-    alone : bool
-        Whether nothing else supports the fit: any other place of the floor may have such marks.
-    """
-    explained = unexplained = 0
-    a_from_b = fit.view_a_from_view_b
-    for first, second, motion, periods in (
-        (pair.a, pair.b, a_from_b, periods_a),
-        (pair.b, pair.a, invert(a_from_b), periods_b),
-    ):
-        marks = dense.own_marks(first, periods, calibration)
-        if marks.any():
-            pro, contra = dense.count_explained(first[0], second[0], motion, marks)
-            explained, unexplained = explained + pro, unexplained + contra
-    least = _MIN_MARKS_ALONE if alone else _MIN_MARKS_OF_A_VIEW
-    ratio = _MIN_MARKS_RATIO_ALONE if alone else _MIN_MARKS_RATIO
-    return explained >= max(least, ratio * unexplained)
 
 
 def _distance(prior: dense.MotionPrior, pose: Pose2) -> float:

@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
-from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Pose2, wrap_angle
 from slamcli.core.records import FeatureAlignment, Link, PreparedFrame
 from slamcli.registration import acceptance, confidence, criteria, hypotheses, rivals
 from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair, same_motion
+from slamcli.registration.marks import RepeatMarks
 from slamcli.registration.result import RegistrationResult, Verdict
 from slamcli.stages import dense
 
@@ -194,8 +193,9 @@ class PairContext:
         alternatives = rivals.refined(near, fit, self.suggested(fit), self.calibration)
         if is_open:
             alternatives = iter(hypotheses.outside_open_direction(list(alternatives), fit))
-        supported = Deferred(partial(self._marks_support, near, fit))
-        remaining = (one for one in alternatives if self._remains(near, fit, one, supported))
+        periods = self.keyframe.repeats, self.prepared.repeats
+        marks = RepeatMarks(near, *periods, self.calibration)
+        remaining = (one for one in alternatives if self._remains(near, fit, one, marks))
         return acceptance.check_rivals(fit, next(remaining, None))
 
     def _expected_beyond_view(self, near: PyramidPair, fit: MotionHypothesis) -> bool:
@@ -208,16 +208,12 @@ class PairContext:
         expected = dense.agreement(near.a[-1], near.b[-1], self.prior.a_from_b.matrix)
         return expected.overlap < _MIN_EXPECTED_OVERLAP
 
-    def _marks_support(self, near: PyramidPair, fit: MotionHypothesis) -> bool:
-        periods = self.keyframe.repeats, self.prepared.repeats
-        return rivals.marks_support(near, fit, *periods, self.calibration)
-
     def _remains(
         self,
         near: PyramidPair,
         fit: MotionHypothesis,
         rival: MotionHypothesis,
-        supported: Deferred[bool],
+        marks: RepeatMarks,
     ) -> bool:
         """Return whether neither the robot's reach nor the pixels rule a rival out."""
         if not self._is_possible(rival.pose) or acceptance.check_plausible(
@@ -239,9 +235,9 @@ class PairContext:
             return (
                 rival.evidence > limit
                 or hypotheses.preferred_by_marks(near, rival, fit)
-                or not supported.value
+                or not marks.support(fit)
             )
-        return not hypotheses.preferred(near, fit, rival)
+        return not (hypotheses.preferred(near, fit, rival) or marks.rule_out(rival, fit))
 
     def suggested(self, fit: MotionHypothesis) -> list[Pose2]:
         """Return the motions that the floor and the prior suggest beside a fit."""

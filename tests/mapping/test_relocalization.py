@@ -17,7 +17,7 @@ from slamcli.mapping.backend.pose_graph import PoseGraph
 from slamcli.mapping.keyframes import KeyframeDatabase, encode_keyframe
 from slamcli.mapping.preprocessing import Preprocessor
 from slamcli.mapping.relocalization import Relocalizer, are_near
-from slamcli.registration import rivals
+from slamcli.registration.marks import RepeatMarks
 from slamcli.stages.place_index import PlaceCandidate
 
 
@@ -129,7 +129,7 @@ def test_a_frame_is_found_on_a_floor_that_repeats_only_by_its_marks(
         period = Deferred.of(np.array([[5.0, 0.0]]))
         prepared = replace(prepared, periodicity=period)
     for supported in (True, False):
-        monkeypatch.setattr(rivals, "marks_support", lambda *given, value=supported, alone: value)
+        monkeypatch.setattr(RepeatMarks, "support", lambda *given, value=supported, alone: value)
         found = relocalizer.register_reliably(0, prepared, Pose2(0.02))
         assert (found is not None) is (supported or not repeats)
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import worlds
-from hand_made_records import pair_of
+from hand_made_records import fit_of, pair_of
 
 import slamcli
 from slamcli.core.arrays import UInt8Array
@@ -14,6 +14,7 @@ from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Frame, PyramidLevel, View
 from slamcli.registration import criteria, rivals
 from slamcli.registration.hypothesis import PyramidPair, photometric_score, score_refined
+from slamcli.registration.marks import MarkCount, RepeatMarks
 from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import FloorOptions
 from slamcli.stages import dense
@@ -77,15 +78,34 @@ def test_marks_support_the_right_motion_alone(marks: int) -> None:
         mapper.prepare(Frame(i, str(i), None, worlds.take(photographer, pose, i)))
         for i, pose in enumerate((Pose2(), Pose2(0.03, 0.0, 0.02)))
     )
-    pair = PyramidPair(a.levels, b.levels)
+    pair, fits = PyramidPair(a.levels, b.levels), []
+    repeat_marks = RepeatMarks(pair, a.repeats, b.repeats, mapper.calibration)
     for motion in (Pose2(0.03, 0.0, 0.02), Pose2(0.03 - 0.1, 0.0, 0.02)):
         refined = dense.refine(pair.a, pair.b, motion, mapper.calibration, 0.0)
         assert refined is not None
         assert refined.a_from_b.x == pytest.approx(motion.x, abs=0.001)
-        supported = rivals.marks_support(
-            pair, score_refined(pair, refined), a.repeats, b.repeats, mapper.calibration
-        )
-        assert supported is (marks > 0 and motion.x > 0)
+        fits.append(score_refined(pair, refined))
+        assert repeat_marks.support(fits[-1]) is (marks > 0 and motion.x > 0)
+    right, one_tile_off = fits
+    assert repeat_marks.rule_out(one_tile_off, right) is (marks > 0)
+    assert not repeat_marks.rule_out(right, one_tile_off)
+
+
+def test_marks_rule_out_a_rival_that_few_of_them_support(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit, rival = fit_of(), fit_of()
+    none = np.zeros((0, 2))
+    marks = RepeatMarks(pair_of(), none, none, photograph.make_camera(worlds.CAMERA))
+    for by_fit, by_rival, ruled_out in (
+        ((6, 0), (0, 2), True),
+        ((5, 0), (0, 2), False),
+        ((9, 3), (2, 3), True),
+        ((9, 4), (2, 3), False),
+        ((9, 0), (3, 5), False),
+        ((9, 0), (0, 0), False),
+    ):
+        counts = {id(fit): MarkCount(*by_fit), id(rival): MarkCount(*by_rival)}
+        monkeypatch.setattr(RepeatMarks, "count", lambda own, one, by=counts: by[id(one)])
+        assert marks.rule_out(rival, fit) is ruled_out
 
 
 def test_views_that_share_no_floor_show_no_marks() -> None:

@@ -15,6 +15,7 @@ from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2
 from slamcli.registration import confidence, hypotheses, rivals
 from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair
+from slamcli.registration.marks import RepeatMarks
 from slamcli.registration.result import ACCEPTED, RegistrationResult, Verdict
 from slamcli.registration.selection import PairContext
 from slamcli.simulation import photograph
@@ -49,6 +50,7 @@ def votes(monkeypatch: pytest.MonkeyPatch) -> Callable[[bool], None]:
 
     def vote(preferred: bool) -> None:
         monkeypatch.setattr(hypotheses, "preferred", lambda pair, fit, rival: preferred)
+        monkeypatch.setattr(RepeatMarks, "rule_out", lambda marks, rival, fit: False)
 
     vote(False)
     return vote
@@ -247,7 +249,7 @@ def test_a_floor_that_repeats_makes_a_motion_ambiguous(
 ) -> None:
     votes(preferred)
     monkeypatch.setattr(rivals, "refined", lambda *given: iter([alternative]))
-    monkeypatch.setattr(rivals, "marks_support", lambda *given: True)
+    monkeypatch.setattr(RepeatMarks, "support", lambda *given: True)
     options, repeats = MapperOptions(max_step_metres=step), np.array([[0.3, 0.0]])
     context = context_of(options=options, repeats=repeats)
     reason = context.check_rivals(PAIR, fit_of(HERE))
@@ -268,7 +270,7 @@ def test_a_narrow_rival_remains_where_no_marks_support_a_motion(
     monkeypatch.setattr(rivals, "refined", lambda *given: iter([strip]))
     context = context_of(repeats=np.array([[0.3, 0.0]]))
     for supported in (True, False):
-        monkeypatch.setattr(rivals, "marks_support", lambda *given, value=supported: value)
+        monkeypatch.setattr(RepeatMarks, "support", lambda *given, value=supported: value)
         reason = context.check_rivals(PAIR, fit_of(HERE))
         assert reason.startswith("ambiguous: the floor repeats") is not supported
 
