@@ -31,6 +31,7 @@ from slamcli.run.calibrate.self_calibration import true_scale
 from slamcli.simulation.config import CameraOptions
 from slamcli.simulation.photograph import make_camera
 from slamcli.stages import adjustment
+from slamcli.stages.adjustment.frame_poses import MountedFrames
 from slamcli.stages.adjustment.projection import transfer_with_jacobians
 from slamcli.stages.calibrate import square_target
 
@@ -95,7 +96,8 @@ def test_the_derivatives_are_those_of_the_transfer(
     a = adjustment.FramePose(Pose2(1.0, 2.0, 0.3), Rocking(0.01, -0.02, 0.01))
     b = adjustment.FramePose(Pose2(1.1, 2.05, 0.5), Rocking(-0.01, 0.01, 0.003))
     pixels = np.random.default_rng(0).uniform([100, 200], [500, 450], (20, 2))
-    found = transfer_with_jacobians(calibration, a, b, pixels)
+    mounted = (MountedFrames.of(calibration, [pose]) for pose in (a, b))
+    found = transfer_with_jacobians(calibration, *mounted, pixels)
     small = 1e-6
 
     def moved(pose: adjustment.FramePose, number: int, by: float) -> adjustment.FramePose:
@@ -119,7 +121,7 @@ def test_the_derivatives_are_those_of_the_transfer(
             for sign in (1, -1)
         )
         numeric = (ahead - behind) / (2 * small)
-        np.testing.assert_allclose(found.by_camera[:, :, number], numeric, atol=2e-5)
+        np.testing.assert_allclose(found.by_camera[:, number].T, numeric, atol=2e-5)
     for number in range(6):
         by_a, by_b = (
             (
@@ -132,8 +134,8 @@ def test_the_derivatives_are_those_of_the_transfer(
                 ((a, moved(b, number, small)), (a, moved(b, number, -small))),
             )
         )
-        np.testing.assert_allclose(found.by_a[:, :, number], by_a, atol=2e-5)
-        np.testing.assert_allclose(found.by_b[:, :, number], by_b, atol=2e-5)
+        np.testing.assert_allclose(found.by_a[:, number].T, by_a, atol=2e-5)
+        np.testing.assert_allclose(found.by_b[:, number].T, by_b, atol=2e-5)
 
 
 def test_a_wrong_camera_is_recovered_with_honest_sigmas(true_camera: Calibration) -> None:
@@ -227,6 +229,12 @@ def test_spots_are_found_to_hundredths_of_a_pixel_and_lines_along_one_direction(
         error = np.linalg.norm(pixels - truth, axis=1)[inside]
         assert len(error) > 50
         assert np.median(error) < limit
+        # Each is aligned until its own steps are short, whatever others there are.
+        few, alone, _ = adjustment.track(
+            first, second, points[kept[:9]], partial(apply_homography, predicted), coarsest
+        )
+        np.testing.assert_array_equal(few, np.arange(9))
+        np.testing.assert_allclose(alone, pixels[:9], atol=1e-4)
     stripe = np.full((240, 320), 40, np.uint8)
     stripe[100:120] = 220
     line = adjustment.make_pyramid(cv2.GaussianBlur(stripe, (0, 0), 1.0), mask)

@@ -4,19 +4,20 @@
 that explain them, `projection` transfers pixels from frame to frame for both.
 """
 
+from slamcli.stages.adjustment.frame_poses import FramePose
+from slamcli.stages.adjustment.observations import residual_lengths
 from slamcli.stages.adjustment.patch_tracking import (
     Matches,
     choose_points,
     pixel_information,
     track,
 )
-from slamcli.stages.adjustment.projection import FramePose, changed, transfer
+from slamcli.stages.adjustment.projection import changed, transfer
 from slamcli.stages.adjustment.pyramid import MAX_LEVEL, Pyramid, make_pyramid
 from slamcli.stages.adjustment.solver import (
     INITIAL_ROCKING_SIGMAS,
     Adjustment,
     adjust,
-    residual_lengths,
 )
 
 __all__ = [

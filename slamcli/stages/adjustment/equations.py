@@ -3,32 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix
 
 from slamcli.core.arrays import BoolArray, Float64Array, Int64Array
 from slamcli.core.camera.calibration import Calibration
-from slamcli.core.robust import (
-    GEMAN_MCCLURE_SIGMAS,
-    NORMAL_MEDIAN,
-    RAYLEIGH_MEDIAN,
-    geman_mcclure_weights,
-)
-from slamcli.stages.adjustment.patch_tracking import Matches
+from slamcli.core.robust import GEMAN_MCCLURE_SIGMAS, geman_mcclure_weights
+from slamcli.stages.adjustment.frame_poses import FramePose
+from slamcli.stages.adjustment.observations import Observations
 from slamcli.stages.adjustment.projection import (
     CAMERA_PARAMETERS,
     FRAME_PARAMETERS,
     POSE_PARAMETERS,
-    FramePose,
-    transfer_with_jacobians,
 )
 
 # [All thresholds here are guarded by benchmarks/self_calibration.py.]
-# A match whose one direction is known this much worse than the other lies on a line.
-_LINE_RATIO = 0.3
 _MIN_SCALE = 0.3
 # Priors: no calibration is worse than about this, and what the matches do not observe must not
 # diverge. Log focal length, radial coefficients, pitch, roll, principal point (in focal lengths).
@@ -64,30 +57,54 @@ class BundleState:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Block:
-    """One pair of frames, linearised, all in standard deviations.
+class Linearisation:
+    """All matches that are seen, linearised about a state, in standard deviations.
 
     Attributes
     ----------
-    frames : (int, int)
-    unknowns : (19,) int
-        Indices in the vector of all unknowns.
-    residual : (N, 2) float64
-    jacobian : (N, 2, 19) float64
-    median : (N,) float64
+    pairs : (P, 2) int64
+        Positions of each pair's frames.
+    unknowns : (P, 19) int64
+        Each pair's indices in the vector of all unknowns.
+    starts : (P + 1,) int64
+        Where each pair's matches begin, and the last ones end.
+    residual : (2, M) float64
+    jacobian : (2, 19, M) float64
+    median : (M,) float64
         Of the length of a residual, were it a standard normal one.
-    plain, by_rise : (N, 2) float64
+    plain, by_rise : (2, M) float64
         The residual, and its derivative by the height of the floor at the spot (1/m), both as they
         are on an even floor.
     """
 
-    frames: tuple[int, int]
+    pairs: Int64Array
     unknowns: Int64Array
+    starts: Int64Array
     residual: Float64Array
     jacobian: Float64Array
     median: Float64Array
     plain: Float64Array
     by_rise: Float64Array
+
+    def by_pair(self, scale: float) -> Iterator[tuple[Float64Array, Float64Array, Float64Array]]:
+        """Yield each pair's weighted Jacobian and its Jacobian (19, 2n), and its residual (2n,)."""
+        weights = self.weights(scale)
+        for start, end in pairwise(self.starts.tolist()):
+            own = np.ascontiguousarray(self.jacobian[:, :, start:end].transpose(1, 0, 2))
+            weighted = own * weights[start:end]
+            size = 2 * (end - start)
+            residual = self.residual[:, start:end].reshape(size)
+            yield weighted.reshape(-1, size), own.reshape(-1, size), residual
+
+    def squares(self, scale: float) -> Float64Array:
+        """Return (M,): the squared length of each residual, as a share of the scale's."""
+        squares: Float64Array = np.sum(self.residual**2, axis=0) / scale**2
+        return squares
+
+    def weights(self, scale: float) -> Float64Array:
+        """Return (M,): the robust weight of each match (Geman and McClure)."""
+        weights = geman_mcclure_weights(self.squares(scale) / GEMAN_MCCLURE_SIGMAS**2)
+        return weights / scale**2
 
 
 def free_unknowns(
@@ -127,56 +144,51 @@ def prior_residuals(layout: Layout, state: BundleState) -> Float64Array:
     return values
 
 
-def linearise(state: BundleState, matches: Sequence[Matches], layout: Layout) -> list[Block]:
-    """Return every pair of frames linearised about a state."""
-    positions = {index: position for position, index in enumerate(layout.frames)}
-    blocks = []
-    for pair in matches:
-        own = [layout.of_frame(positions[index]) for index in (pair.a, pair.b)]
-        unknowns = np.concatenate([np.arange(CAMERA_PARAMETERS), *own])
-        blocks.append(_linearise_pair(state, pair, unknowns))
-    return blocks
-
-
-def _linearise_pair(state: BundleState, pair: Matches, unknowns: Int64Array) -> Block:
-    poses = state.poses[pair.a], state.poses[pair.b]
-    moved = transfer_with_jacobians(state.calibration, *poses, pair.pixels_a)
-    seen = np.isfinite(moved.pixels).all(axis=1)
-    whitening = pair.whitening[seen]
-    jacobian = np.concatenate([moved.by_camera, moved.by_a, moved.by_b], axis=2)[seen]
-    precision = np.linalg.norm(whitening, axis=2)
-    plain = np.einsum("nij,nj->ni", whitening, moved.pixels[seen] - pair.pixels_b[seen])
+def linearise(state: BundleState, observations: Observations, layout: Layout) -> Linearisation:
+    """Return all matches linearised about a state."""
+    calibration, poses = state.calibration, [state.poses[index] for index in layout.frames]
+    moved = observations.transfer(calibration, poses)
+    plain = observations.whitened(moved.pixels - observations.pixels_b)
     # Where the floor lies higher, both cameras are nearer to it.
-    heights = [state.calibration.height_metres + pose.rocking.height_metres for pose in poses]
-    rise = -moved.by_a[seen, :, -1] / heights[0] - moved.by_b[seen, :, -1] / heights[1]
-    by_rise = np.einsum("nij,nj->ni", whitening, rise)
+    heights = calibration.height_metres + np.array([pose.rocking.height_metres for pose in poses])
+    a, b = heights[observations.pairs[observations.pair].T]
+    by_rise = observations.whitened(-moved.by_a[:, -1] / a - moved.by_b[:, -1] / b)
     shrink = _shrinking(by_rise * state.unevenness_metres)
-    line = precision.min(axis=1) < _LINE_RATIO * precision.max(axis=1)
-    return Block(
-        (pair.a, pair.b),
-        unknowns,
-        np.einsum("nij,nj->ni", shrink, plain),
-        shrink @ whitening @ jacobian,
-        np.where(line, NORMAL_MEDIAN, RAYLEIGH_MEDIAN),
-        plain,
-        by_rise,
+    jacobian = np.concatenate([moved.by_camera, moved.by_a, moved.by_b], axis=1)
+    whitening = np.einsum("ijm,jkm->ikm", shrink, observations.whitening)
+    seen = np.isfinite(moved.pixels).all(axis=0)
+    return Linearisation(
+        observations.pairs,
+        _unknowns(observations.pairs, layout),
+        np.searchsorted(observations.pair[seen], np.arange(len(observations.pairs) + 1)),
+        np.einsum("ijm,jm->im", shrink, plain)[:, seen],
+        np.einsum("ijm,jkm->ikm", whitening, jacobian)[:, :, seen],
+        observations.median[seen],
+        plain[:, seen],
+        by_rise[:, seen],
     )
 
 
+def _unknowns(pairs: Int64Array, layout: Layout) -> Int64Array:
+    """Return (P, 19): the unknowns of every pair's camera and two frames."""
+    camera = np.tile(np.arange(CAMERA_PARAMETERS), (len(pairs), 1))
+    by_frame = CAMERA_PARAMETERS + np.arange(FRAME_PARAMETERS * len(layout.frames))
+    of_frames = by_frame.reshape(-1, FRAME_PARAMETERS)[pairs]
+    return np.concatenate([camera, of_frames.reshape(len(pairs), -1)], axis=1)
+
+
 def _shrinking(spread: Float64Array) -> Float64Array:
-    """Return (N, 2, 2): the inverse root of ``I + s s^T`` for (N, 2) vectors s."""
-    squared = np.einsum("ni,ni->n", spread, spread)
+    """Return (2, 2, N): the inverse root of ``I + s s^T`` for (2, N) vectors s."""
+    squared = np.sum(spread**2, axis=0)
     share = (1.0 - 1.0 / np.sqrt(1.0 + squared)) / np.maximum(squared, 1e-12)
-    outer = spread[:, :, None] * spread[:, None, :]
-    return np.asarray(np.eye(2) - share[:, None, None] * outer)
+    outer: Float64Array = np.eye(2)[:, :, None] - share * (spread[:, None] * spread[None, :])
+    return outer
 
 
-def estimate_unevenness(blocks: Sequence[Block], scale: float) -> float:
+def estimate_unevenness(found: Linearisation, scale: float) -> float:
     """Return the floor's unevenness (m): the excess of residuals along that direction."""
-    plain = np.concatenate([block.plain for block in blocks])
-    by_rise = np.concatenate([block.by_rise for block in blocks])
-    length = np.maximum(np.linalg.norm(by_rise, axis=1), 1e-9)
-    along = np.einsum("ni,ni->n", plain, by_rise / length[:, None])
+    length = np.maximum(np.linalg.norm(found.by_rise, axis=0), 1e-9)
+    along = np.sum(found.plain * (found.by_rise / length), axis=0)
     sensitive = length > np.median(length)
     # The median of a squared normal number is 0.455 times its variance.
     variance = (along[sensitive] / length[sensitive]) ** 2
@@ -184,39 +196,23 @@ def estimate_unevenness(blocks: Sequence[Block], scale: float) -> float:
     return math.sqrt(max(float(np.median(variance)) / 0.455 - float(np.median(even)), 0.0))
 
 
-def residual_scale(blocks: Sequence[Block]) -> float:
+def residual_scale(found: Linearisation) -> float:
     """Return how many times longer residuals are than their sigmas predict (median)."""
-    lengths = [np.linalg.norm(block.residual, axis=1) / block.median for block in blocks]
-    return max(float(np.median(np.concatenate(lengths))), _MIN_SCALE)
-
-
-def _squares(block: Block, scale: float) -> Float64Array:
-    squares: Float64Array = np.sum(block.residual**2, axis=1) / scale**2
-    return squares
+    lengths = np.linalg.norm(found.residual, axis=0) / found.median
+    return max(float(np.median(lengths)), _MIN_SCALE)
 
 
 def total_cost(
-    blocks: Sequence[Block],
-    scale: float,
-    prior: Float64Array,
-    deviation: Float64Array,
+    found: Linearisation, scale: float, prior: Float64Array, deviation: Float64Array
 ) -> float:
     """Return the robust cost of the residuals, and of the deviation (K,) from the prior."""
-    total = float(np.sum(prior * deviation**2))
-    for block in blocks:
-        squares = _squares(block, scale)
-        total += float(np.sum(squares / (1.0 + squares / GEMAN_MCCLURE_SIGMAS**2)))
-    return total
-
-
-def weights(block: Block, scale: float) -> Float64Array:
-    """Return (N,): the robust weight of each match (Geman and McClure)."""
-    weights = geman_mcclure_weights(_squares(block, scale) / GEMAN_MCCLURE_SIGMAS**2)
-    return weights / scale**2
+    squares = found.squares(scale)
+    robust = np.sum(squares / (1.0 + squares / GEMAN_MCCLURE_SIGMAS**2))
+    return float(np.sum(prior * deviation**2)) + float(robust)
 
 
 def normal_equations(
-    blocks: Sequence[Block],
+    found: Linearisation,
     scale: float,
     prior: Float64Array,
     layout: Layout,
@@ -224,22 +220,18 @@ def normal_equations(
 ) -> tuple[csc_matrix, Float64Array]:
     """Return the normal matrix (K, K), sparse, and the gradient (K,); identity where fixed."""
     gradient = prior * prior_residuals(layout, state)
-    rows, columns, values = [], [], []
-    for block in blocks:
-        weighted = block.jacobian * weights(block, scale)[:, None, None]
-        local = np.einsum("nik,nil->kl", weighted, block.jacobian)
-        gradient[block.unknowns] += np.einsum("nik,ni->k", weighted, block.residual)
-        row, column = np.meshgrid(block.unknowns, block.unknowns, indexing="ij")
-        both = layout.free[row] & layout.free[column]
-        rows.append(row[both])
-        columns.append(column[both])
-        values.append(local[both])
-    diagonal = np.arange(layout.count)
-    rows.append(diagonal)
-    columns.append(diagonal)
-    values.append(np.where(layout.free, np.maximum(prior, 1e-9), 1.0))
-    shape = (layout.count, layout.count)
-    normal = coo_matrix(
-        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape
+    blocks = np.empty((*found.unknowns.shape, found.unknowns.shape[1]))
+    for number, (weighted, jacobian, residual) in enumerate(found.by_pair(scale)):
+        blocks[number] = weighted @ jacobian.T
+        gradient[found.unknowns[number]] += weighted @ residual
+    free = layout.free[found.unknowns]
+    both = free[:, :, None] & free[:, None, :]
+    rows, columns = (
+        np.broadcast_to(unknowns, blocks.shape)[both]
+        for unknowns in (found.unknowns[:, :, None], found.unknowns[:, None, :])
     )
+    diagonal = np.arange(layout.count)
+    values = np.concatenate([blocks[both], np.where(layout.free, np.maximum(prior, 1e-9), 1.0)])
+    places = np.concatenate([rows, diagonal]), np.concatenate([columns, diagonal])
+    normal = coo_matrix((values, places), (layout.count, layout.count))
     return normal.tocsc(), np.where(layout.free, gradient, 0.0)

@@ -15,13 +15,12 @@ import cv2
 import numpy as np
 
 from slamcli.core.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
-from slamcli.stages.adjustment.patch_alignment import (
+from slamcli.stages.adjustment.patch_alignment import align_patches, patch_quality
+from slamcli.stages.adjustment.patches import (
     HALF_PIXELS,
     Warp,
-    align_patches,
     cut_patches,
     image_gradients,
-    patch_quality,
     warp_centres,
     warp_jacobian,
 )
@@ -59,14 +58,30 @@ class Matches:
 
 
 def pixel_information(pyramid: Pyramid) -> Float32Array:
-    """Return (H, W): how well each pixel's patch fixes a motion; 0 where it is too weak."""
-    right, down = image_gradients(pyramid.images[0])
+    """Return (H, W): how well each usable pixel's patch fixes a motion; 0 where it is too weak."""
+    image, information = pyramid.images[0], np.zeros_like(pyramid.images[0])
+    left, top, width, height = cv2.boundingRect(pyramid.masks[0])
+    # And as much around the usable floor as its pixels' patches and their gradients reach.
+    rows, columns = (
+        slice(max(0, start - HALF_PIXELS - 1), start + size + HALF_PIXELS + 1)
+        for start, size in ((top, height), (left, width))
+    )
+    information[rows, columns] = _information(image[rows, columns])
+    return information
+
+
+def _information(image: Float32Array) -> Float32Array:
+    right, down = image_gradients(image)
     side = (2 * HALF_PIXELS + 1, 2 * HALF_PIXELS + 1)
-    xx, yy, xy = (cv2.blur(product, side) for product in (right**2, down**2, right * down))
+    xx, yy, xy = (
+        cv2.blur(cv2.multiply(a, b), side) for a, b in ((right, right), (down, down), (right, down))
+    )
     # The eigenvalues of the structure tensor are middle + spread and middle - spread.
-    middle, spread = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
-    information = np.maximum(middle - spread, 0.0) + _LINE_SHARE * (middle + spread)
-    information[middle + spread <= _MIN_GRADIENT_GRAY**2] = 0.0
+    middle = cv2.addWeighted(xx, 0.5, yy, 0.5, 0.0)
+    spread = cv2.magnitude(cv2.addWeighted(xx, 0.5, yy, -0.5, 0.0), xy)
+    least, most = np.maximum(cv2.subtract(middle, spread), 0.0), cv2.add(middle, spread)
+    information = cv2.scaleAdd(most, _LINE_SHARE, least)
+    information[most <= _MIN_GRADIENT_GRAY**2] = 0.0
     return np.asarray(information, np.float32)
 
 

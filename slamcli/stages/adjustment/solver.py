@@ -22,9 +22,9 @@ from slamcli.core.arrays import BoolArray, Float64Array
 from slamcli.core.camera.calibration import Calibration, Rocking
 from slamcli.core.geometry import Pose2
 from slamcli.stages.adjustment.equations import (
-    Block,
     BundleState,
     Layout,
+    Linearisation,
     estimate_unevenness,
     free_unknowns,
     linearise,
@@ -34,13 +34,10 @@ from slamcli.stages.adjustment.equations import (
     residual_scale,
     total_cost,
 )
+from slamcli.stages.adjustment.frame_poses import FramePose
+from slamcli.stages.adjustment.observations import Observations
 from slamcli.stages.adjustment.patch_tracking import Matches
-from slamcli.stages.adjustment.projection import (
-    CAMERA_PARAMETERS,
-    FramePose,
-    changed,
-    transfer_with_jacobians,
-)
+from slamcli.stages.adjustment.projection import CAMERA_PARAMETERS, changed
 from slamcli.stages.adjustment.uncertainty import (
     camera_covariance,
     estimate_rocking,
@@ -126,21 +123,22 @@ def adjust(
     state = BundleState(
         calibration, {index: poses[index] for index in frames}, np.zeros(CAMERA_PARAMETERS)
     )
+    observations = Observations.of(matches, frames)
     rounds = 1 + (learning_rounds if np.any(rocking_sigmas) else 0)
     sigmas = rocking_sigmas
     for number in range(rounds):
         prior = prior_information(layout, sigmas)
         learning = 0 < number < rounds - 1
         iterations = _LEARNING_ITERATIONS if learning else _MAX_ITERATIONS
-        state, scale, factor, blocks = _descend(state, matches, layout, prior, iterations)
+        state, scale, factor, found = _descend(state, observations, layout, prior, iterations)
         if number + 1 < rounds:
             sigmas = estimate_rocking(state, layout, factor)
-            state = replace(state, unevenness_metres=estimate_unevenness(blocks, scale))
+            state = replace(state, unevenness_metres=estimate_unevenness(found, scale))
     return Adjustment(
         state.calibration,
         state.poses,
         state.change,
-        camera_covariance(layout, state, factor, blocks, prior, scale),
+        camera_covariance(layout, state, factor, found, prior, scale),
         pose_covariances(layout, factor),
         sigmas,
         scale,
@@ -148,53 +146,39 @@ def adjust(
     )
 
 
-def residual_lengths(
-    calibration: Calibration, poses: Mapping[int, FramePose], matches: Sequence[Matches]
-) -> Float64Array:
-    """Return the length of every match's residual, in its own sigmas, all pairs in their order."""
-    lengths = []
-    for pair in matches:
-        there = transfer_with_jacobians(
-            calibration, poses[pair.a], poses[pair.b], pair.pixels_a
-        ).pixels
-        residual = np.einsum("nij,nj->ni", pair.whitening, there - pair.pixels_b)
-        lengths.append(np.linalg.norm(residual, axis=1))
-    return np.concatenate(lengths) if lengths else np.zeros(0)
-
-
 def _descend(
     state: BundleState,
-    matches: Sequence[Matches],
+    observations: Observations,
     layout: Layout,
     prior: Float64Array,
     iterations: int,
-) -> tuple[BundleState, float, SuperLU, list[Block]]:
+) -> tuple[BundleState, float, SuperLU, Linearisation]:
     """Run Levenberg-Marquardt; return the state, the residuals' scale, and its last equations."""
     damping = 1e-4
-    blocks = linearise(state, matches, layout)
-    scale = residual_scale(blocks)
+    found = linearise(state, observations, layout)
+    scale = residual_scale(found)
     for _ in range(iterations):
-        cost = total_cost(blocks, scale, prior, prior_residuals(layout, state))
-        normal, gradient = normal_equations(blocks, scale, prior, layout, state)
+        cost = total_cost(found, scale, prior, prior_residuals(layout, state))
+        normal, gradient = normal_equations(found, scale, prior, layout, state)
         diagonal = normal.diagonal()
         for _ in range(_MAX_RETRIES):
             damped = splu((normal + diags(damping * diagonal)).tocsc())
             step = np.where(layout.free, -damped.solve(gradient), 0.0)
             tried = _moved(state, layout, step)
-            new_blocks = linearise(tried, matches, layout)
-            if total_cost(new_blocks, scale, prior, prior_residuals(layout, tried)) <= cost:
+            tried_found = linearise(tried, observations, layout)
+            if total_cost(tried_found, scale, prior, prior_residuals(layout, tried)) <= cost:
                 damping = max(damping / 10.0, 1e-9)
                 break
             damping *= 10.0
         else:
             break
         expected = float(step @ (normal @ step))
-        state, blocks = tried, new_blocks
-        before, scale = scale, residual_scale(blocks)
+        state, found = tried, tried_found
+        before, scale = scale, residual_scale(found)
         if expected < _CONVERGED and abs(scale / before - 1.0) < 1e-3:
             break
-    normal, _ = normal_equations(blocks, scale, prior, layout, state)
-    return state, scale, splu(normal), blocks
+    normal, _ = normal_equations(found, scale, prior, layout, state)
+    return state, scale, splu(normal), found
 
 
 def _moved(state: BundleState, layout: Layout, step: Float64Array) -> BundleState:

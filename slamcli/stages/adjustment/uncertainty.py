@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.sparse.linalg import SuperLU
 
 from slamcli.core.arrays import Float64Array, Int64Array
-from slamcli.stages.adjustment.equations import Block, BundleState, Layout, prior_residuals, weights
+from slamcli.stages.adjustment.equations import (
+    BundleState,
+    Layout,
+    Linearisation,
+    prior_residuals,
+)
 from slamcli.stages.adjustment.projection import (
     CAMERA_PARAMETERS,
     FRAME_PARAMETERS,
@@ -39,7 +42,7 @@ def camera_covariance(
     layout: Layout,
     state: BundleState,
     factor: SuperLU,
-    blocks: Sequence[Block],
+    found: Linearisation,
     prior: Float64Array,
     scale: float,
 ) -> Float64Array:
@@ -55,14 +58,12 @@ def camera_covariance(
     by_pair = np.zeros(CAMERA_PARAMETERS)
     by_frame = _influence_of_priors(layout, columns, prior * prior_residuals(layout, state))
     by_prior = np.sum(by_frame**2, axis=0)
-    positions = {index: position for position, index in enumerate(layout.frames)}
-    for block in blocks:
-        weighted = block.jacobian * weights(block, scale)[:, None, None]
-        gradient = np.einsum("nik,ni->k", weighted, block.residual)
-        influence = columns[block.unknowns].T @ np.where(layout.free[block.unknowns], gradient, 0.0)
+    for number, (weighted, _, residual) in enumerate(found.by_pair(scale)):
+        unknowns = found.unknowns[number]
+        gradient = np.where(layout.free[unknowns], weighted @ residual, 0.0)
+        influence = columns[unknowns].T @ gradient
         by_pair += influence**2
-        for index in block.frames:
-            by_frame[positions[index]] += influence
+        by_frame[found.pairs[number]] += influence
     small_sample = len(layout.frames) / max(len(layout.frames) - 1, 1)
     clustered = small_sample * np.maximum(by_pair + by_prior, np.sum(by_frame**2, axis=0) - by_pair)
     inflation = np.sqrt(np.maximum(clustered / np.maximum(nominal, 1e-30), 1.0))
