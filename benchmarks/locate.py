@@ -1,10 +1,13 @@
 """Localisation of single frames in a map: found, falsely placed, and the cost as maps grow.
 
-Run: python benchmarks/locate.py [--floors a,b] [--frames N] [--keyframes 100,1000,10000]. A camera
-of 320x240 drives three lanes over a simulated floor; frames that the map has not seen, at any
-heading, are then looked up, and frames of floor outside it. For the cost the first map is filled up
-with keyframes whose descriptors are those of its own points with three bits in ten turned over, so
-that they crowd the index as real ones do. Processor time on one thread.
+Run: python benchmarks/locate.py [--floors a,b] [--frames N] [--keyframes 100,1000,10000]
+[--size WxH]. Two tables. The cost: a camera takes keyframes a hand's breadth apart over one field
+of lanes, up to a thousand, at known poses; a map of more has each of them again, as later passes
+over the same floor would see them: so much of its points, each a little elsewhere and with some
+bits of its descriptor turned over, and points of their own. Frames that the map has not seen are
+looked up in it, without a prior and with one, and timed beside `cv2.ORB_create(1000)` of the same
+picture. Processor time on one thread. What is found: a camera drives three lanes over a simulated
+floor; frames at any heading are then looked up, and frames of floor outside the map.
 """
 
 from __future__ import annotations
@@ -15,17 +18,19 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import FloorMap, Frame, Keyframe, PoseEstimate
+from slamcli.core.records import Features, FloorMap, Frame, Keyframe, PoseEstimate
+from slamcli.mapping.keyframes import encode_keyframe
 from slamcli.mapping.localizer import Locator
 from slamcli.mapping.mapper import Mapper
 from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import CameraOptions, DisturbanceOptions, FloorOptions
 
-CAMERA = CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=45.0)
+CAMERA = CameraOptions(height_metres=0.2, pitch_degrees=45.0)
 FLOOR_METRES_PER_PIXEL = 0.0005
 LANES, LANE_METRES, LANE_LENGTH_METRES, STEP_METRES = 3, 0.2, 1.2, 0.06
 # So far ahead lies the middle of the view; about it the camera turns from lane to lane.
@@ -33,8 +38,19 @@ MIDDLE_METRES = 0.2
 TURN_STEPS = 6
 NEAR_METRES, NEAR_RADIANS = 0.01, math.radians(0.5)
 OUTSIDE_METRES = (20.0, 60.0)
-FLIPPED_SHARE = 0.3
 COST_FRAMES = 60
+# A field of keyframes: as many see each spot as on a drive that covers a floor.
+FIELD_KEYFRAMES, FIELD_LANE_METRES = 1000, 0.15
+# Of a keyframe's points, those that a later pass finds again; where, as a share of their sigmas,
+# and with which descriptors.
+AGAIN_SHARE, AGAIN_SIGMAS, FLIPPED_SHARE = 0.6, 0.5, 0.1
+# Error of a pose that is expected: of odometry between two frames.
+PRIOR_METRES, PRIOR_RADIANS = 0.01, math.radians(1.0)
+BARE_POINTS = 1000
+COST_COLUMNS = (
+    *("keyframes", "ORB ms", "whole map ms", "ratio", "near ms", "ratio", "outside ms", "ratio"),
+    *("found (whole, near)", "wrong", "false outside"),
+)
 
 
 def lanes() -> list[Pose2]:
@@ -58,8 +74,8 @@ def lanes() -> list[Pose2]:
 class World:
     """A floor, and a camera over it."""
 
-    def __init__(self, floor: str) -> None:
-        camera = photograph.make_camera(CAMERA)
+    def __init__(self, floor: str, size: tuple[int, int]) -> None:
+        camera = photograph.make_camera(replace(CAMERA, size=size))
         surface = floors.make_floor(floor, FloorOptions(wear=0.5), FLOOR_METRES_PER_PIXEL, seed=5)
         self._photographer = photograph.Photographer(photograph.World(surface), camera)
         self.floor, self.camera, self.poses = floor, camera, lanes()
@@ -80,12 +96,12 @@ class World:
         assert floor_map is not None
         return floor_map
 
-    def unseen(self, count: int) -> Iterator[tuple[Pose2, NDArray[np.uint8]]]:
-        """Yield poses at which the camera sees floor of the map, at any heading, and pictures."""
+    def unseen(self, count: int, poses: list[Pose2]) -> Iterator[tuple[Pose2, NDArray[np.uint8]]]:
+        """Yield poses at which the camera sees floor of others, at any heading, and pictures."""
         generator = np.random.default_rng(3)
         middle = Pose2(MIDDLE_METRES)
         for number in range(count):
-            base = self.poses[int(generator.integers(len(self.poses)))]
+            base = poses[int(generator.integers(len(poses)))]
             away = Pose2(
                 *generator.uniform(-0.05, 0.05, 2).tolist(), generator.uniform(-math.pi, math.pi)
             )
@@ -126,7 +142,7 @@ class Outcome:
 def search(world: World, floor_map: FloorMap, count: int) -> None:
     """Print a row: how many of `count` frames are found, and of half as many outside."""
     locator, outcome = Locator(floor_map), Outcome()
-    for pose, picture in world.unseen(count):
+    for pose, picture in world.unseen(count, world.poses):
         outcome.count(locator.locate(picture), pose)
     outside = [locator.locate(picture) for picture in world.outside(count // 2)]
     false = sum(estimate.map_from_robot is not None for estimate in outside)
@@ -138,48 +154,93 @@ def search(world: World, floor_map: FloorMap, count: int) -> None:
     )
 
 
-def filled(floor_map: FloorMap, count: int) -> FloorMap:
-    """Return the map with `count` keyframes: its own, and others of floor far away."""
+def field(count: int) -> list[Pose2]:
+    """Return poses up and down the lanes of a square field."""
+    a_lane = max(1, round(math.sqrt(count * FIELD_LANE_METRES / STEP_METRES)))
+    poses = []
+    for number in range(count):
+        lane, step = divmod(number, a_lane)
+        x, turned = STEP_METRES * step, lane % 2 == 1
+        length = STEP_METRES * (a_lane - 1)
+        y = FIELD_LANE_METRES * lane
+        poses.append(Pose2(length - x, y, math.pi) if turned else Pose2(x, y))
+    return poses
+
+
+def seen_again(
+    like: Features, others: np.ndarray, generator: np.random.Generator
+) -> tuple[Features, Pose2]:
+    """Return a keyframe's features as a later pass sees them; its pose from the keyframe's."""
+    count = len(like)
+    kept = generator.random(count) < AGAIN_SHARE
+    away = Pose2(*generator.normal(0.0, 0.01, 2).tolist(), float(generator.normal(0.0, 0.05)))
+    points = away.inverse().apply(like.points)
+    points = points + AGAIN_SIGMAS * like.sigmas * generator.normal(size=points.shape)
+    flipped = np.packbits(generator.random((count, 8 * others.shape[1])) < FLIPPED_SHARE, axis=1)
+    new = others[generator.integers(len(others), size=count)]
+    # Descriptors of nothing on this floor, but distributed as its own are.
+    mixed = np.where(generator.random((count, 8 * others.shape[1])) < 0.5, 1, 0).astype(np.uint8)
+    new = new ^ np.packbits(mixed, axis=1)
+    descriptors = np.where(kept[:, None], like.descriptors ^ flipped, new)
+    return replace(like, points=points, descriptors=descriptors), away
+
+
+def overlapping(world: World, count: int) -> FloorMap:
+    """Return a map of `count` keyframes that overlap each other, its poses the true ones."""
     generator = np.random.default_rng(8)
-    own = floor_map.keyframes[:count]
-    pool = np.concatenate([keyframe.features.descriptors for keyframe in own])
-    keyframes, estimates = list(own), list(floor_map.estimates)
-    first = max(estimate.index for estimate in estimates) + 1
-    for number in range(count - len(own)):
-        like = own[number % len(own)]
-        chosen = pool[generator.integers(len(pool), size=len(like.features))]
-        flipped = np.packbits(generator.random((len(chosen), 8 * pool.shape[1])) < FLIPPED_SHARE, 1)
-        features = replace(like.features, descriptors=chosen ^ flipped)
-        index, pose = first + number, Pose2(100.0 + 0.3 * number)
-        name = f"filled {number}"
-        keyframes.append(Keyframe(index, name, None, features, like.image, like.mask))
-        covariance = np.eye(3) * 1e-6
-        estimates.append(PoseEstimate(index, name, None, pose, "tracked", "", 0, covariance))
-    return replace(floor_map, keyframes=tuple(keyframes), estimates=tuple(estimates))
-
-
-def cost(world: World, floor_map: FloorMap, count: int) -> None:
-    """Print a row: milliseconds a frame in a map of `count` keyframes."""
-    locator, outcome = Locator(filled(floor_map, count)), Outcome()
-    seconds = {True: [0.0], False: [0.0]}
-    pictures = [(pose, picture) for pose, picture in world.unseen(COST_FRAMES)]
-    away = [(None, picture) for picture in world.outside(COST_FRAMES // 2)]
-    false = 0
-    for number, (true, picture) in enumerate([*pictures, *away]):
-        prepared = locator.prepare(Frame(number, str(number), None, picture))
-        started = time.process_time()
-        found = locator.place(prepared)
-        seconds[true is not None].append(time.process_time() - started)
-        if true is None:
-            false += found.map_from_robot is not None
-        else:
-            outcome.count(found, true)
-    here, outside = (1e3 * float(np.mean(seconds[known][1:])) for known in (True, False))
-    print(
-        f"| {count} | {here:.0f} | {outside:.0f} | {outcome.right / COST_FRAMES:.0%} | "
-        f"{outcome.wrong} | {false} of {len(away)} |",
-        flush=True,
+    poses = field(min(count, FIELD_KEYFRAMES))
+    mapper = Mapper(world.camera)
+    mapper.update(world.take(poses[0], 0))
+    floor_map = mapper.floor_map()
+    assert floor_map is not None
+    locator = Locator(floor_map)
+    keyframes: list[Keyframe] = []
+    for number, pose in enumerate(poses):
+        frame = Frame(number, str(number), None, world.take(pose, number))
+        keyframes.append(encode_keyframe(locator.prepare(frame)))
+    pool = np.concatenate([keyframe.features.descriptors for keyframe in keyframes])
+    for number in range(len(poses), count):
+        like = keyframes[number % len(poses)]
+        features, away = seen_again(like.features, pool, generator)
+        keyframes.append(replace(like, index=number, name=str(number), features=features))
+        poses.append(poses[number % len(poses)] @ away)
+    estimates = tuple(
+        PoseEstimate(index, str(index), None, pose, "tracked", "", 0, np.eye(3) * 1e-6)
+        for index, pose in enumerate(poses)
     )
+    return replace(floor_map, keyframes=tuple(keyframes), estimates=estimates)
+
+
+def cost(world: World, count: int) -> None:
+    """Print a row: milliseconds a frame in a map of `count` keyframes, and bare ORB's."""
+    locator = Locator(overlapping(world, count))
+    poses = field(min(count, FIELD_KEYFRAMES))
+    generator, orb = np.random.default_rng(9), cv2.ORB_create(BARE_POINTS)
+    seconds: dict[str, list[float]] = {"bare": [], "map": [], "near": [], "outside": []}
+    outcomes = {"map": Outcome(), "near": Outcome()}
+
+    def timed(name: str, picture: NDArray[np.uint8], near: Pose2 | None = None) -> PoseEstimate:
+        started = time.process_time()
+        found = locator.locate(picture, near)
+        seconds[name].append(time.process_time() - started)
+        return found
+
+    for pose, picture in world.unseen(COST_FRAMES, poses):
+        gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+        started = time.process_time()
+        orb.detectAndCompute(gray, None)
+        seconds["bare"].append(time.process_time() - started)
+        outcomes["map"].count(timed("map", picture), pose)
+        turn = float(generator.normal(0.0, PRIOR_RADIANS))
+        error = Pose2(*generator.normal(0.0, PRIOR_METRES, 2).tolist(), turn)
+        outcomes["near"].count(timed("near", picture, pose @ error), pose)
+    away = [timed("outside", picture) for picture in world.outside(COST_FRAMES // 2)]
+    false = sum(found.map_from_robot is not None for found in away)
+    bare, *rest = (1e3 * float(np.median(seconds[name])) for name in seconds)
+    figures = " | ".join(f"{one:.1f} | {one / bare:.2f}" for one in rest)
+    found = ", ".join(f"{one.right / COST_FRAMES:.0%}" for one in outcomes.values())
+    wrong = sum(one.wrong for one in outcomes.values())
+    print(f"| {count} | {bare:.1f} | {figures} | {found} | {wrong} | {false} |", flush=True)
 
 
 def main() -> None:
@@ -188,17 +249,20 @@ def main() -> None:
     parser.add_argument("--floors", default="asphalt,carpet")
     parser.add_argument("--frames", type=int, default=500)
     parser.add_argument("--keyframes", default="100,1000,10000")
+    parser.add_argument("--size", default="640x480")
     options = parser.parse_args()
-    worlds = [World(name) for name in options.floors.split(",")]
-    maps = [world.map() for world in worlds]
-    print("| keyframes | ms, on the map | ms, outside | found | wrong | false outside |")
-    print("|---" * 6 + "|", flush=True)
-    for count in map(int, options.keyframes.split(",")):
-        cost(worlds[0], maps[0], count)
+    cv2.setNumThreads(1)
+    width, height = (int(side) for side in options.size.split("x"))
+    worlds = [World(name, (width, height)) for name in options.floors.split(",")]
+    print("| " + " | ".join(COST_COLUMNS) + " |\n" + "|---" * len(COST_COLUMNS) + "|", flush=True)
+    for count in map(int, filter(None, options.keyframes.split(","))):
+        cost(worlds[0], count)
+    if not options.frames:
+        return
     print("\n| floor | keyframes | found | wrong | not here | worst mm | false outside |")
     print("|---" * 7 + "|", flush=True)
-    for world, floor_map in zip(worlds, maps, strict=True):
-        search(world, floor_map, options.frames)
+    for world in worlds:
+        search(world, world.map(), options.frames)
 
 
 if __name__ == "__main__":
