@@ -17,6 +17,7 @@ from square_photos import SIDE_METRES, Photo, random_photo, render, rotation
 
 from slamcli.cli.main import main
 from slamcli.core.camera.calibration import Calibration, top_down_calibration
+from slamcli.core.camera.footprint import seen_floor
 from slamcli.core.camera.lens import distort_points, undistort_points
 from slamcli.core.camera.resolution import floor_sampling
 from slamcli.core.errors import CalibrationError, InputError, OutputError
@@ -230,24 +231,49 @@ def test_a_camera_upside_down_or_on_its_side_calibrates(
     assert abs(math.remainder(math.degrees(calibration.roll_radians) - roll, 360.0)) < 0.3
 
 
-@pytest.mark.parametrize("pitch", [35.0, 90.0])
-def test_a_chessboard_shows_the_lens_too(pitch: float) -> None:
-    centre = (0.42, 0.0) if pitch < 90 else (0.0, 0.0)
-    photo = Photo(
-        pitch=pitch, yaw=12.0, height=0.45, centre=centre, distortion=(-0.15, 0.04, 0.0, 0.0, 0.0)
-    )
+def photo_of_a_board(photo: Photo, field_metres: float) -> calibrate.FloorPoints:
     column, row = np.meshgrid(np.arange(9) - 4, np.arange(7) - 3)
-    board_points = 0.045 * np.column_stack([column.ravel(), row.ravel()])
+    board_points = field_metres * np.column_stack([column.ravel(), row.ravel()])
     floor = board_points @ rotation(photo.yaw).T + photo.centre
     pixels = distort_points(photo.intrinsics, apply_homography(photo.image_from_robot, floor))
     pixels += np.random.default_rng(1).normal(scale=0.02, size=pixels.shape)
-    points = calibrate.FloorPoints(board_points, pixels, np.eye(pixels.size) * 0.02**2)
-    mounting = calibrate.solve_mounting(points, photo.size)
+    return calibrate.FloorPoints(board_points, pixels, np.eye(pixels.size) * 0.02**2)
+
+
+def board_photo(pitch: float) -> Photo:
+    centre = (0.42, 0.0) if pitch < 90 else (0.0, 0.0)
+    return Photo(
+        pitch=pitch, yaw=12.0, height=0.45, centre=centre, distortion=(-0.15, 0.04, 0.0, 0.0, 0.0)
+    )
+
+
+@pytest.mark.parametrize("pitch", [35.0, 90.0])
+def test_a_chessboard_shows_the_lens_too(pitch: float) -> None:
+    photo = board_photo(pitch)
+    mounting = calibrate.solve_mounting(photo_of_a_board(photo, 0.045), photo.size)
     assert floor_distance_errors(photo, camera_of(mounting, photo, known=False)).max() < 0.005
     assert mounting.radial[0] < 0 < mounting.radial_sigmas[0]
     if pitch < 90:
         assert mounting.radial[0] == pytest.approx(-0.15, abs=3 * mounting.radial_sigmas[0])
         assert mounting.focal_pixels == pytest.approx(560.0, rel=0.005)
+
+
+@pytest.mark.parametrize(("field_metres", "shown"), [(0.045, True), (0.015, False)])
+def test_how_far_a_chessboard_shows_the_lens_is_known(field_metres: float, shown: bool) -> None:
+    photo = board_photo(35.0)
+    mounting = calibrate.solve_mounting(photo_of_a_board(photo, field_metres), photo.size)
+    calibration = calibrate.make_calibration(mounting, photo.size, None, None)
+    sigma = calibrate.lens_sigma(mounting, calibration)
+    assert (0.0 < sigma < 0.01) == shown
+    floor = seen_floor(calibration)
+    pixels = distort_points(calibration, apply_homography(calibration.image_from_robot, floor))
+    true = apply_homography(
+        np.linalg.inv(photo.image_from_robot), undistort_points(photo.intrinsics, pixels)
+    )
+    errors = np.linalg.norm(floor - true, axis=1) / np.hypot(
+        np.linalg.norm(true, axis=1), photo.height
+    )
+    assert 0.1 * sigma < errors.max() < 3.0 * sigma
 
 
 def test_corners_that_no_floor_shows_are_refused() -> None:

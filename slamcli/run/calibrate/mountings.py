@@ -21,6 +21,8 @@ RESOLVED_METRES_PER_PIXEL = 0.002
 _EQUAL_SHARE = 0.05
 # A smaller residual is not reported, however small its sigma.
 _MAX_RESIDUAL_PIXELS = 0.3
+# An error of the floor by the lens that is reported, one sigma, as a share of its distance.
+_MAX_LENS_SIGMA = 0.01
 # A camera that is rolled by more is named: upside down, or on its side.
 _MAX_USUAL_ROLL_RADIANS = math.radians(45.0)
 
@@ -191,6 +193,13 @@ def _mounting_notes(result: Result) -> list[str]:
             "notes it or else as is usual. Lengths on the "
             "floor are right all the same, the height is not; for it give --intrinsics "
             "camera_info.yaml, or a photo from a slant"
+        )
+    lens_sigma = solving.lens_sigma(mounting, calibration)
+    if lens_sigma > _MAX_LENS_SIGMA:
+        notes.append(
+            f"the {result.target.name} shows the lens too little towards the picture's corners: "
+            f"places on the floor there are uncertain by {lens_sigma:.1%} of their distance; fill "
+            "the picture with it, or give --intrinsics camera_info.yaml"
         )
     if not math.isnan(mounting.ahead_radians):
         degrees = math.degrees(mounting.ahead_radians)

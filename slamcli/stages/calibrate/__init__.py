@@ -16,6 +16,7 @@ from slamcli.stages.calibrate.mounting import (
     MISFIT_SIGMAS,
     FloorPoints,
     Mounting,
+    lens_sigma,
     make_calibration,
 )
 
@@ -24,6 +25,7 @@ __all__ = [
     "FloorPoints",
     "FocalPrior",
     "Mounting",
+    "lens_sigma",
     "make_calibration",
     "solve_mounting",
     "solve_mounting_with_intrinsics",

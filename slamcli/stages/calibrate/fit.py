@@ -325,7 +325,7 @@ def _to_mounting(
     log_height, pitch, roll = (float(value) for value in values[_MOUNT])
     focal = math.sqrt(float(matrix[0, 0] * matrix[1, 1])) * math.exp(float(values[0]))
     height, x, y, yaw = math.exp(log_height), *(float(value) for value in values[_PLACE])
-    mounting = [0, 3, 4, 5]
+    mounting, lens = [0, 3, 4, 5], [0, 3, 4, 5, 1, 2]
     sigmas = np.sqrt(np.diag(covariance))
     difference = _project(problem.points.target, problem.camera, values, ahead)
     difference -= problem.points.pixels
@@ -341,7 +341,7 @@ def _to_mounting(
         misfit_sigmas=misfit_sigmas,
         ahead_radians=ahead,
         radial=values[_RADIAL],
-        radial_sigmas=sigmas[_RADIAL],
+        lens_covariance=covariance[np.ix_(lens, lens)],
     )
 
 

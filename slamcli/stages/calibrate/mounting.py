@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration, Intrinsics
 from slamcli.core.camera.footprint import choose_max_range, seen_floor
-from slamcli.core.camera.lens import image_centre
+from slamcli.core.camera.lens import distort_points, image_centre, undistort_points
 from slamcli.core.camera.mounting import image_from_robot_homography
-from slamcli.core.geometry import Pose2, invert
+from slamcli.core.geometry import Pose2, apply_homography, invert
 
 # A residual of more sigmas than this is reported: the target may be no flat square.
 MISFIT_SIGMAS = 4.0
@@ -63,8 +63,9 @@ class Mounting:
         Whether the photo left the focal length about where its prior had it.
     radial : (2,) float64
         The radial coefficients, where they were estimated.
-    radial_sigmas : (2,) float64
-        Zeros where they were not.
+    lens_covariance : (6, 6) float64
+        Of log focal, log height, pitch, roll and the radial coefficients; zeros for these where
+        they were not estimated.
     """
 
     focal_pixels: float
@@ -79,7 +80,12 @@ class Mounting:
     ahead_radians: float = math.nan
     focal_assumed: bool = False
     radial: Float64Array = field(default_factory=lambda: np.zeros(2))
-    radial_sigmas: Float64Array = field(default_factory=lambda: np.zeros(2))
+    lens_covariance: Float64Array = field(default_factory=lambda: np.zeros((6, 6)))
+
+    @property
+    def radial_sigmas(self) -> Float64Array:
+        """(2,): zeros where the radial coefficients were not estimated."""
+        return np.sqrt(np.diag(self.lens_covariance)[4:])
 
 
 def make_calibration(
@@ -132,3 +138,37 @@ def make_calibration(
     )
     seen_floor(calibration)
     return calibration
+
+
+def lens_sigma(mounting: Mounting, calibration: Calibration) -> float:
+    """Return the largest error of floor that is kept, by the lens, one sigma, of its distance.
+
+    The distance is that from the camera; 0 where the lens was not estimated.
+    """
+    if not np.any(mounting.radial):
+        return 0.0
+    floor = seen_floor(calibration)
+    seen = distort_points(calibration, apply_homography(calibration.image_from_robot, floor))
+    variances, directions = np.linalg.eigh(mounting.lens_covariance)
+    steps = directions * np.sqrt(np.maximum(variances, 0.0))
+    squares = np.zeros(len(floor))
+    for step in steps.T:
+        other = _changed(mounting, calibration, step)
+        there = apply_homography(other.robot_from_image, undistort_points(other, seen))
+        squares += np.sum((there - floor) ** 2, axis=1)
+    distances = np.hypot(np.linalg.norm(floor, axis=1), calibration.height_metres)
+    return float((np.sqrt(squares) / distances).max())
+
+
+def _changed(mounting: Mounting, calibration: Calibration, step: Float64Array) -> Calibration:
+    """Return the calibration of a mounting whose six numbers are changed."""
+    zoom, grown = math.exp(float(step[0])), math.exp(float(step[1]))
+    other = replace(
+        mounting,
+        focal_pixels=zoom * mounting.focal_pixels,
+        height_metres=grown * mounting.height_metres,
+        pitch_radians=mounting.pitch_radians + float(step[2]),
+        roll_radians=mounting.roll_radians + float(step[3]),
+        radial=mounting.radial + step[4:],
+    )
+    return make_calibration(other, calibration.image_size, None, calibration.max_range_metres)
