@@ -367,6 +367,8 @@ def test_rocking_leaves_a_motion_over_lines_as_uncertain_as_it_is() -> None:
     assert metres < 0.0008
     for covariance in (refined.covariance, refined.predicted_covariance):
         assert 0.0005 < math.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[1]) < 0.002
+    narrow, wide = np.sqrt(np.linalg.eigvalsh(refined.covariance[:2, :2]))
+    assert narrow > 0.1 * wide
 
 
 def test_much_rocking_is_found_from_a_fit_with_less_of_it() -> None:
