@@ -38,15 +38,21 @@ def encode_keyframe(prepared: PreparedFrame) -> Keyframe:
         features = replace(features, descriptors=whole)
     quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
     _, image = cv2.imencode(".jpg", first.image, quality)
-    _, mask = cv2.imencode(".png", first.mask)
     return Keyframe(
         prepared.index,
         prepared.name,
         prepared.stamp,
         features,
         np.asarray(image).tobytes(),
-        np.asarray(mask).tobytes(),
+        _encoded_mask(first.mask.tobytes(), first.mask.shape),
     )
+
+
+@lru_cache(maxsize=_MAX_MASKS)
+def _encoded_mask(mask: bytes, shape: tuple[int, ...]) -> bytes:
+    """Return a mask's pixels as PNG."""
+    _, encoded = cv2.imencode(".png", np.frombuffer(mask, np.uint8).reshape(shape))
+    return np.asarray(encoded).tobytes()
 
 
 class KeyframeCache:

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import groupby, islice
 
+import numpy as np
+
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
@@ -230,11 +232,15 @@ class LoopCloser:
         if failed is not None and self._near(failed, candidate.guess):
             return None
         prior = dense.MotionPrior(candidate.expected, candidate.covariance)
+        expected = self._near(candidate.expected, candidate.guess)
+        if not expected and self._contradicts(prior, candidate.guess):
+            self._failed[pair] = candidate.guess
+            return None
         try:
             prepared = self._database.decode(candidate.b)
             register = self._relocalizer.register_reliably
             result = None
-            if self._near(candidate.expected, candidate.guess):
+            if expected:
                 register = self._relocalizer.register
                 result = self._relocalizer.track(candidate.a, prepared, prior)
             if result is None:
@@ -246,6 +252,13 @@ class LoopCloser:
             self._failed[pair] = candidate.guess
             return None
         return result.link
+
+    def _contradicts(self, prior: dense.MotionPrior, guess: Pose2) -> bool:
+        """Return whether all that a registration about a guess may find contradicts the poses."""
+        sigma_metres = self._proposals.max_sigma_metres
+        around = np.diag([sigma_metres, sigma_metres, _SAME_RADIANS]) ** 2
+        apart = squared_mahalanobis(prior.a_from_b, prior.covariance + around, guess)
+        return apart > _MAX_SQUARED_MAHALANOBIS
 
     def _near(self, first: Pose2, second: Pose2) -> bool:
         """Return whether registrations about two guesses search the same motions."""

@@ -125,6 +125,27 @@ def test_a_motion_that_the_poses_contradict_is_rejected(circle: slamcli.Mapper) 
     assert not firm
 
 
+def test_a_guess_that_the_poses_contradict_is_not_registered(
+    circle: slamcli.Mapper, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What looks alike by its descriptors is 2 m away, by poses that are certain to 0.1 mm."""
+    closer, registered = circle._loop_closer, []
+    monkeypatch.setattr(
+        closer._relocalizer, "register_reliably", lambda a, b, *_: registered.append((a, b.index))
+    )
+    shifted = [pose if n < 13 else Pose2(2.0) @ pose for n, pose in enumerate(CIRCLE)]
+    alike = [
+        (one.keyframe, b)
+        for b, candidates in closer._alike.items()
+        for one in candidates
+        if (one.keyframe < 13) != (b < 13)
+    ]
+    assert alike
+    closer._failed.clear()
+    closer.find_loops(_graph_of(circle, shifted))
+    assert not registered
+
+
 def _graph_of(mapper: slamcli.Mapper, poses: list[Pose2]) -> PoseGraph:
     """The mapper's graph without loops, with certain poses."""
     graph = PoseGraph()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -27,6 +28,13 @@ _SEARCH_CONTRAST_PRIOR = 0.1
 _CONTRAST_PRIOR = 0.02
 _HIGHEST_CORRELATION = 0.999
 _MIN_PIXELS = 64.0
+# Where no pixels are shared, the transforms leave rounding errors.
+_NO_PIXELS = np.float32(1e-3)
+# The evidence for one motion is taken from every other row: rows so near look alike
+# [benchmarks/streaming.py].
+_EVIDENCE_ROW_STEP = 2
+# Most cameras' views have one mask.
+_CACHED_MASKS = 4
 # Peaks nearer than this to a higher one, in pixels and rotation steps, belong to it.
 _PEAK_PIXELS = 4
 _PEAK_STEPS = 2
@@ -146,22 +154,45 @@ def search(
     return Search(tuple(found), np.asarray(surface, np.float32), a.metres_per_pixel)
 
 
-def autocorrelation(level: PyramidLevel) -> tuple[Float32Array, Float32Array]:
+def autocorrelation(
+    level: PyramidLevel, min_overlap: float, rows_up: int
+) -> tuple[Float32Array, Float32Array]:
     """Return a view's correlation with itself, shifted, and the share of it that overlaps.
 
-    Two pictures of equal shape, no shift in their middle, pixel (rows // 2, columns // 2).
+    Opposite shifts correlate alike: two pictures (rows, columns) of those down, from `rows_up` up
+    on; no shift is in their middle column. Of a convex view, all shifts are in them that leave an
+    overlap of the share `min_overlap`: no larger than of its height and width.
     """
-    values, weight = level.normalised, level.weight
-    height, width = values.shape
-    shape = fft.next_fast_len(2 * height, real=True), fft.next_fast_len(2 * width, real=True)
-    spectra = _transforms(values, weight, shape)
-    energy = level.energy, level.energy
-    correlation, pixels = _correlate(spectra, spectra, energy, shape)
-    whole = max(float(cv2.countNonZero(level.inside)), 1.0)
-    return (
-        np.asarray(np.fft.fftshift(correlation), np.float32),
-        np.asarray(np.fft.fftshift(pixels) / whole, np.float32),
+    sides = level.normalised.shape
+    rows, columns = (math.ceil((1.0 - min_overlap) * side) for side in sides)
+    shape = (
+        fft.next_fast_len(sides[0] + rows, real=True),
+        fft.next_fast_len(sides[1] + columns, real=True),
     )
+    weighted = level.normalised * level.weight
+    values = fft.rfft2(weighted, shape)
+    seen, pixels = _own_shifts(level.inside.tobytes(), sides, shape)
+    product = _sums_of_products(values, values, shape)
+    norm = _sums_of_products(fft.rfft2(weighted * level.normalised, shape), seen, shape)
+    down, right = np.arange(-rows_up, rows + 1), np.arange(-columns, columns + 1)
+    opposite = norm[-down][:, -right]
+    product, pixels, norm = (sums[down][:, right] for sums in (product, pixels, norm))
+    correlation = _normalised(product, pixels, (norm, opposite), (level.energy, level.energy))
+    whole = max(float(cv2.countNonZero(level.inside)), 1.0)
+    return correlation, np.asarray(pixels / np.float32(whole))
+
+
+@lru_cache(maxsize=_CACHED_MASKS)
+def _own_shifts(
+    inside: bytes, sides: tuple[int, int], shape: tuple[int, int]
+) -> tuple[Complex64Array, Float32Array]:
+    """Return the spectrum of a level's mask, and the pixels that it shares with itself, shifted.
+
+    The same for all frames of a camera.
+    """
+    weight = (np.frombuffer(inside, np.uint8).reshape(sides) == 255).astype(np.float32)
+    seen = fft.rfft2(weight, shape)
+    return seen, _sums_of_products(seen, seen, shape)
 
 
 def evidence(
@@ -176,16 +207,21 @@ def evidence(
     view_a_from_view_b : (3, 3) float64
         Metres to metres: that motion, or a `PhotometricFit`'s.
     """
-    moved, inside = warp_onto(a, b, view_a_from_view_b, b.normalised, b.inside)
-    weight = cv2.multiply(a.weight, inside.view(np.uint8), dtype=cv2.CV_32F)
-    pixels = _total(weight)
+    moved, inside = warp_onto(
+        a, b, view_a_from_view_b, b.normalised, b.inside, row_step=_EVIDENCE_ROW_STEP
+    )
+    values_a = a.normalised[::_EVIDENCE_ROW_STEP]
+    weight_a = a.weight[::_EVIDENCE_ROW_STEP]
+    weight = cv2.multiply(weight_a, inside.view(np.uint8), dtype=cv2.CV_32F)
+    pixels = _EVIDENCE_ROW_STEP * _total(weight)
     seen = float(min(cv2.countNonZero(a.inside), cv2.countNonZero(b.inside)))
     if pixels < _MIN_PIXELS:
         return Candidate(a_from_b, 0.0, pixels / max(seen, 1.0), 0.0)
-    weighted_a, weighted_b = cv2.multiply(weight, a.normalised), cv2.multiply(weight, moved)
+    weighted_a, weighted_b = cv2.multiply(weight, values_a), cv2.multiply(weight, moved)
     product = _total(cv2.multiply(weighted_a, moved))
-    norm_a = _total(cv2.multiply(weighted_a, a.normalised)) + _CONTRAST_PRIOR * pixels * a.energy
-    norm_b = _total(cv2.multiply(weighted_b, moved)) + _CONTRAST_PRIOR * pixels * b.energy
+    prior = _CONTRAST_PRIOR * pixels / _EVIDENCE_ROW_STEP
+    norm_a = _total(cv2.multiply(weighted_a, values_a)) + prior * a.energy
+    norm_b = _total(cv2.multiply(weighted_b, moved)) + prior * b.energy
     value = product / math.sqrt(norm_a * norm_b) if norm_a * norm_b > 0 else 0.0
     return Candidate(a_from_b, value, pixels / seen, float(_evidence(value, pixels)))
 
@@ -222,15 +258,37 @@ def _correlate(
     shape: tuple[int, int],
 ) -> tuple[Float32Array, Float32Array]:
     """Return the correlation and the shared pixels at every translation of the second picture."""
-    values, squares, seen = (np.conj(spectrum) for spectrum in second)
-    product = fft.irfft2(first[0] * values, shape)
-    pixels = np.maximum(fft.irfft2(first[2] * seen, shape), np.float32(1e-3))
-    norm_a = np.maximum(fft.irfft2(first[1] * seen, shape), 0)
-    norm_b = np.maximum(fft.irfft2(first[2] * squares, shape), 0)
-    norm_a += np.float32(_SEARCH_CONTRAST_PRIOR * energy[0]) * pixels
-    norm_b += np.float32(_SEARCH_CONTRAST_PRIOR * energy[1]) * pixels
+    values, squares, seen = second
+    product = _sums_of_products(first[0], values, shape)
+    pixels = np.maximum(_sums_of_products(first[2], seen, shape), _NO_PIXELS)
+    norm_a = _sums_of_products(first[1], seen, shape)
+    norm_b = _sums_of_products(first[2], squares, shape)
+    return _normalised(product, pixels, (norm_a, norm_b), energy), pixels
+
+
+def _sums_of_products(
+    first: Complex64Array, second: Complex64Array, shape: tuple[int, int]
+) -> Float32Array:
+    """Return the sum of products of two pictures, by their spectra, at every shift of the second.
+
+    To the right along the columns and down along the rows, cyclic.
+    """
+    return np.asarray(fft.irfft2(first * np.conj(second), shape), np.float32)
+
+
+def _normalised(
+    product: Float32Array,
+    pixels: Float32Array,
+    norms: tuple[Float32Array, Float32Array],
+    energy: tuple[float, float],
+) -> Float32Array:
+    """Return sums of products as correlations, by both pictures' sums of squares there."""
+    prior = [np.float32(_SEARCH_CONTRAST_PRIOR * mean) * pixels for mean in energy]
+    norm_a, norm_b = (np.maximum(norm, 0) for norm in norms)
+    norm_a += prior[0]
+    norm_b += prior[1]
     correlation = product / np.sqrt(np.maximum(norm_a * norm_b, np.float32(1e-12)))
-    return np.asarray(correlation, np.float32), np.asarray(pixels, np.float32)
+    return np.asarray(correlation, np.float32)
 
 
 def _evidence(correlation: float | Float32Array, pixels: float | Float32Array) -> Float64Array:

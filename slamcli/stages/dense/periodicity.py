@@ -21,7 +21,8 @@ _MAX_SHIFTS = 4
 # Of the highest correlation; the periods of a lattice differ by less
 # [benchmarks/tiles.py, 0.20 m without marks: six false loops by the print's own 0.06 m alone].
 _STRONG_SHARE = 0.75
-_AROUND = np.ones((5, 5), np.uint8)
+_AROUND_PIXELS = 2
+_AROUND = np.ones((2 * _AROUND_PIXELS + 1,) * 2, np.uint8)
 # Fewer pixels correlate by chance [guarded by tests/stages/test_periodicity.py: concrete].
 _MIN_PIXELS = 8000
 
@@ -34,17 +35,22 @@ def find_periods(levels: Sequence[PyramidLevel]) -> Float64Array:
     """
     enough = (one for one in reversed(levels) if cv2.countNonZero(one.inside) >= _MIN_PIXELS)
     level = next(enough, levels[0])
-    correlation, shared = autocorrelation(level)
-    rows, columns = correlation.shape
-    far = np.hypot(np.arange(rows)[:, None] - rows // 2, np.arange(columns)[None, :] - columns // 2)
-    usable = (shared >= _MIN_OVERLAP) & (far > _OWN_PEAK_PIXELS)
-    usable[: rows // 2] = False
-    peaks = (correlation == cv2.dilate(correlation, _AROUND)) & usable
-    peaks &= correlation >= _MIN_CORRELATION
+    correlation, shared = autocorrelation(level, _MIN_OVERLAP, _AROUND_PIXELS)
+    peaks = (correlation >= _MIN_CORRELATION) & (shared >= _MIN_OVERLAP)
+    peaks[:_AROUND_PIXELS] = False
     found = np.argwhere(peaks)
+    pixels = found - (_AROUND_PIXELS, correlation.shape[1] // 2)
+    length = np.hypot(*pixels.T)
+    far = length > _OWN_PEAK_PIXELS
+    if not far.any():
+        return np.empty((0, 2))
+    highest = cv2.dilate(correlation, _AROUND)[*found.T]
+    values = correlation[*found.T]
+    is_peak = far & (values == highest)
+    pixels, length, values = pixels[is_peak], length[is_peak], values[is_peak]
     # What a tile's own print has in common with itself is less than what two tiles have.
-    strong = correlation[peaks] >= _STRONG_SHARE * correlation[peaks].max(initial=0.0)
-    chosen = np.lexsort((far[peaks], ~strong))[:_MAX_SHIFTS]
-    pixels = found[chosen] - (rows // 2, columns // 2)
-    shifts: Float64Array = level.metres_per_pixel * np.column_stack([pixels[:, 1], -pixels[:, 0]])
+    strong = values >= _STRONG_SHARE * values.max(initial=0.0)
+    chosen = np.lexsort((length, ~strong))[:_MAX_SHIFTS]
+    right, down = pixels[chosen, 1], pixels[chosen, 0]
+    shifts: Float64Array = level.metres_per_pixel * np.column_stack([right, -down])
     return shifts

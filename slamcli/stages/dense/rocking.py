@@ -30,7 +30,7 @@ _MIN_GAIN_BETWEEN_BLOCKS = 16.8
 # The squared deviations of pitch, roll and height of two frames that rock as expected, in sigmas,
 # add up to about six; what both frames have in common hardly shows, and stays at nothing.
 _MAX_SQUARED_SIGMAS = 6.0
-_MAX_TEST_POINTS = 4000
+_MAX_TEST_POINTS = 2000
 # Of a steady camera: the motion, gain and offset.
 _STEADY_UNKNOWNS = 5
 

@@ -49,7 +49,7 @@ def _detect_orb(picture: DetectorInput, options: FeatureOptions) -> Keypoints:
         described,
         np.asarray(descriptors if described else [], np.uint8).reshape(-1, _ORB_DESCRIPTOR_BYTES),
         octaves,
-        [_orb_scale(options, octave) for octave in octaves],
+        scale_of[octaves],
         "hamming" if options.wta_k == 2 else "hamming2",
     )
     return _unturned(_place_on_levels(corners, picture.gray, options), options)
@@ -96,20 +96,22 @@ def _place_on_levels(keypoints: Keypoints, gray: UInt8Array, options: FeatureOpt
     of pixels, so that its true scale differs by up to half a pixel at the far border.
     """
     corners = np.rint(keypoints.pixels / keypoints.scales[:, None]).astype(np.int64)
-    pixels, sigmas = np.empty_like(keypoints.pixels), np.empty_like(keypoints.sigmas)
-    level_image = gray
+    images: list[UInt8Array] = []
     for octave in range(int(keypoints.octaves.max(initial=-1)) + 1):
-        scale = _orb_scale(options, octave)
         # OpenCV builds each level from the one before, the enlarged ones from the picture itself.
-        source = gray if octave <= options.first_level else level_image
-        level_image = _shrink(source, gray.shape, scale)
+        source = gray if octave <= options.first_level else images[-1]
+        images.append(_shrink(source, gray.shape, _orb_scale(options, octave)))
+    places, found = corners.astype(np.float64), np.zeros(len(corners), np.bool_)
+    if options.refine:
+        places, found = subpixel.refine(images, keypoints.octaves, corners)
+    sigma_pixels = np.where(found, _REFINED_SIGMA_PIXELS, _CORNER_SIGMA_PIXELS)
+    pixels = np.empty_like(keypoints.pixels)
+    for octave, image in enumerate(images):
         here = keypoints.octaves == octave
-        places, found = corners[here].astype(np.float64), np.zeros(np.count_nonzero(here), np.bool_)
-        if options.refine:
-            places, found = subpixel.refine(level_image, corners[here])
-        sigmas[here] = np.where(found, _REFINED_SIGMA_PIXELS, _CORNER_SIGMA_PIXELS) * scale
-        pixels[here] = apply_homography(pixel_from_level(gray.shape, level_image.shape), places)
-    return replace(keypoints, pixels=pixels, sigmas=sigmas)
+        pixels[here] = apply_homography(pixel_from_level(gray.shape, image.shape), places[here])
+    return replace(
+        keypoints, pixels=pixels, sigmas=(sigma_pixels * keypoints.scales).astype(np.float32)
+    )
 
 
 def _shrink(source: UInt8Array, full_shape: tuple[int, ...], scale: float) -> UInt8Array:

@@ -9,11 +9,19 @@ of a pixel.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 
-from slamcli.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from slamcli.core.arrays import (
+    BoolArray,
+    Float32Array,
+    Float64Array,
+    Int32Array,
+    Int64Array,
+    UInt8Array,
+)
 
 # Chosen by the error of rigid fits on asphalt-like noise; 1.2 to 2.4 differ by little.
 _SIGMA_PIXELS = 2.0
@@ -23,12 +31,16 @@ _RESPONSE_RADIUS = _SEARCH_PIXELS + 1
 _PATCH_RADIUS = _RESPONSE_RADIUS + math.ceil(3 * _SIGMA_PIXELS)
 
 
-def refine(image: UInt8Array, corners: Int64Array) -> tuple[Float64Array, BoolArray]:
+def refine(
+    images: Sequence[UInt8Array], image_of: Int32Array, corners: Int64Array
+) -> tuple[Float64Array, BoolArray]:
     """Move corners to the nearest peak of the Laplacian of Gaussian.
 
     Parameters
     ----------
-    image : (h, w) uint8
+    images : sequence of (h, w) uint8
+    image_of : (N,) int
+        The number of each corner's image.
     corners : (N, 2) int, column and row
 
     Returns
@@ -37,23 +49,35 @@ def refine(image: UInt8Array, corners: Int64Array) -> tuple[Float64Array, BoolAr
         Where no peak is near, or the border is: the corner itself.
     found : (N,) bool
     """
-    height, width = image.shape
-    margin = np.array([_PATCH_RADIUS, _PATCH_RADIUS])
-    inside = np.all((corners >= margin) & (corners < (width, height) - margin), axis=1)
+    sizes = np.array([image.shape[::-1] for image in images]).reshape(-1, 2)[image_of]
+    inside = np.all((corners >= _PATCH_RADIUS) & (corners < sizes - _PATCH_RADIUS), axis=1)
     refined = corners.astype(np.float64)
     found = np.zeros(len(corners), dtype=np.bool_)
     if inside.any():
-        offsets, peaked = _peaks(_laplacian(image, corners[inside]))
+        patches = _patches(images, image_of[inside], corners[inside])
+        offsets, peaked = _peaks(_laplacian(patches))
         refined[inside] += offsets
         found[inside] = peaked
     return refined, found
 
 
-def _laplacian(image: UInt8Array, corners: Int64Array) -> Float32Array:
+def _patches(
+    images: Sequence[UInt8Array], image_of: Int32Array, corners: Int64Array
+) -> Float32Array:
+    """Return (N, r, r): what is around the corners."""
+    side = 2 * _PATCH_RADIUS + 1
+    patches = np.empty((len(corners), side, side), np.float32)
+    for number, image in enumerate(images):
+        here = image_of == number
+        if here.any():
+            windows = np.lib.stride_tricks.sliding_window_view(image, (side, side))
+            columns, rows = corners[here].T - _PATCH_RADIUS
+            patches[here] = windows[rows, columns]
+    return patches
+
+
+def _laplacian(patches: Float32Array) -> Float32Array:
     """Return (N, r, r) responses around the corners, made positive at each corner itself."""
-    windows = np.lib.stride_tricks.sliding_window_view(image, (2 * _PATCH_RADIUS + 1,) * 2)
-    columns, rows = corners.T - _PATCH_RADIUS
-    patches = windows[rows, columns].astype(np.float32)
     smooth, curved = _kernels()
     # Along the rows of all patches at once, then down their columns: two large products.
     side, ring = patches.shape[1], len(smooth)
