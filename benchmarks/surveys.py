@@ -2,8 +2,9 @@
 
 Run: make bench, or python benchmarks/surveys.py [--rows N] [--columns N] [--size WxH]. Each runs in
 a process of its own, one after the other, on the same frames: frames used, RMSE of the frames'
-corners in the map after one similarity onto the truth, pixels of a frame, and seconds. Shuffled,
-the same frames have names in another order.
+corners in the map after one similarity onto the truth, pixels of a frame, seconds, and processor
+seconds, which other work on the machine hardly changes. Shuffled, the same frames have names in
+another order.
 """
 
 from __future__ import annotations
@@ -11,10 +12,12 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+import resource
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -45,7 +48,7 @@ def main() -> None:
     parser.add_argument("--size", default="800x600", metavar="WxH")
     arguments = parser.parse_args()
     width, height = (int(side) for side in arguments.size.split("x"))
-    print(f"{'':<16} {'used':>7} {'RMSE px':>8} {'s':>7}")
+    print(f"{'':<16} {'used':>7} {'RMSE px':>8} {'s':>7} {'CPU s':>7}")
     with tempfile.TemporaryDirectory() as folder:
         frames, shuffled = Path(folder) / "frames", Path(folder) / "shuffled"
         corners = photograph(frames, arguments.rows, arguments.columns, (width, height))
@@ -120,9 +123,7 @@ def run_slam(label: str, frames: Path, truth: Float64Array) -> None:
     """Print slam's row."""
     output = frames.parent / "map"
     command = (sys.executable, "-m", "slamcli", "stitch", frames, "-o", output, "--overwrite")
-    started = time.monotonic()
-    subprocess.run(command, check=False, capture_output=True)
-    seconds = time.monotonic() - started
+    seconds = timed(command)
     floor_map = load_map(output, for_locating=False)
     calibration, corners = floor_map.calibration, {}
     size = calibration.image_size
@@ -138,9 +139,7 @@ def run_slam(label: str, frames: Path, truth: Float64Array) -> None:
 def run_peer(frames: Path, truth: Float64Array, size: tuple[int, int]) -> None:
     """Print the peer's row."""
     output = frames.parent / "peer.tif"
-    started = time.monotonic()
-    subprocess.run((sys.executable, "-c", PEER, frames, output), check=False, capture_output=True)
-    seconds = time.monotonic() - started
+    seconds = timed((sys.executable, "-c", PEER, frames, output))
     report = json.loads((frames.parent / "peer_report.json").read_text(encoding="utf-8"))
     pixels = frame_corners(size) + (np.array(size) - 1) / 2
     corners = {}
@@ -150,8 +149,23 @@ def run_peer(frames: Path, truth: Float64Array, size: tuple[int, int]) -> None:
     print_row("pyorthomosaic", corners, truth, seconds)
 
 
+def timed(command: Sequence[object]) -> tuple[float, float]:
+    """Run a command; return its seconds and its processor seconds."""
+
+    def processor() -> float:
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return used.ru_utime + used.ru_stime
+
+    started, before = time.monotonic(), processor()
+    subprocess.run([str(part) for part in command], check=False, capture_output=True)
+    return time.monotonic() - started, processor() - before
+
+
 def print_row(
-    label: str, corners: dict[int, Float64Array], truth: Float64Array, seconds: float
+    label: str,
+    corners: dict[int, Float64Array],
+    truth: Float64Array,
+    seconds: tuple[float, float],
 ) -> None:
     """Print frames used, RMSE of the corners after one similarity, seconds."""
     found = np.concatenate([corners[number] for number in sorted(corners)]) @ [1.0, 1.0j]
@@ -159,7 +173,8 @@ def print_row(
     # Maps with rows that run down are mirrored.
     errors = [rmse(one, there) for one in (found, found.conj())]
     share = f"{len(corners)}/{len(truth)}"
-    print(f"{label:<16} {share:>7} {min(errors):>8.3f} {seconds:>7.1f}", flush=True)
+    cost = " ".join(f"{some:>7.1f}" for some in seconds)
+    print(f"{label:<16} {share:>7} {min(errors):>8.3f} {cost}", flush=True)
 
 
 def rmse(found: np.ndarray, there: np.ndarray) -> float:

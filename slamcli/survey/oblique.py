@@ -17,10 +17,9 @@ import cv2
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
-from slamcli.core.arrays import BoolArray, Float64Array
+from slamcli.core.arrays import BoolArray, Complex128Array, Float64Array, IntpArray
 from slamcli.core.camera.mounting import image_from_robot_homography
 from slamcli.core.geometry import apply_homography, invert
-from slamcli.core.robust import fit_rigid_2d
 from slamcli.survey.features import SurveyFeatures
 from slamcli.survey.oblique_camera import (
     BEND_PRIOR_SIGMA,
@@ -122,6 +121,71 @@ class _FocalPrior:
     sigma: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Matches:
+    """Matches of several motions: (2, M, 2) pixels in both frames, and (M,) the motion of each."""
+
+    pixels: Float64Array
+    motion: IntpArray
+
+    @classmethod
+    def of(cls, motions: Sequence[FloorMotion], count: int) -> _Matches:
+        """Return at most so many matches of each motion."""
+        steps = [-(-len(one.pixels_a) // count) for one in motions]
+        pixels = [
+            np.concatenate([side[::step] for side, step in zip(sides, steps, strict=True)])
+            for sides in ([one.pixels_a for one in motions], [one.pixels_b for one in motions])
+        ]
+        lengths = [len(one.pixels_a[::step]) for one, step in zip(motions, steps, strict=True)]
+        return cls(np.stack(pixels), np.repeat(np.arange(len(motions)), lengths))
+
+    def residuals(self, values: Float64Array, width: int) -> Float64Array:
+        """Return (M, 2) pixels: the second frame's points, by the best rigid motion, in the first.
+
+        Of a motion that the camera does not see on the floor they are all large.
+        """
+        log_focal, pitch, roll, k1 = values.tolist()
+        focal = width * math.exp(log_focal)
+        image_from_floor = image_from_robot_homography(
+            np.diag([focal, focal, 1.0]), 1.0, pitch, roll
+        )
+        floor_from_image = invert(image_from_floor)
+        seen = undistorted(self.pixels.reshape(-1, 2), k1, focal).reshape(self.pixels.shape)
+        depths = seen @ floor_from_image[2, :2] + floor_from_image[2, 2]
+        below = (depths > 1e-6).all(axis=0)
+        # An error of a pixel far away is one of much floor.
+        with np.errstate(over="ignore", invalid="ignore"):
+            weights = np.where(below, depths.min(axis=0), 0.0) ** 4
+        finite = np.isfinite(np.bincount(self.motion, weights))
+        used = below & (finite & (np.bincount(self.motion, below) >= 2))[self.motion]
+        floor = apply_homography(floor_from_image, seen[:, used])
+        moved = _rigidly_moved(floor, self.motion[used], weights[used])
+        residual = np.full(self.pixels.shape[1:], _BEHIND_PIXELS)
+        residual[used] = apply_homography(image_from_floor, moved) - seen[0][used]
+        residual = np.nan_to_num(residual, nan=_BEHIND_PIXELS)
+        return np.asarray(np.clip(residual, -_BEHIND_PIXELS, _BEHIND_PIXELS), np.float64)
+
+
+def _rigidly_moved(floor: Float64Array, group: IntpArray, weights: Float64Array) -> Float64Array:
+    """Return (N, 2) the second of (2, N, 2) points, moved to the first rigidly, group by group.
+
+    In closed form, as `fit_rigid_2d`.
+    """
+
+    def mean(values: Complex128Array) -> Complex128Array:
+        real, imaginary = (np.bincount(group, weights * v) for v in (values.real, values.imag))
+        return np.asarray((real + 1j * imaginary) / total, np.complex128)
+
+    total = np.maximum(np.bincount(group, weights), np.finfo(np.float64).tiny)
+    first, second = floor @ [1.0, 1.0j]
+    centres = mean(first), mean(second)
+    first, second = first - centres[0][group], second - centres[1][group]
+    turn = mean(first * second.conj())
+    turn = np.where(turn == 0.0, 1.0, turn / np.maximum(np.abs(turn), np.finfo(np.float64).tiny))
+    moved = centres[0][group] + turn[group] * second
+    return np.column_stack([moved.real, moved.imag])
+
+
 def estimate_camera(
     motions: Sequence[FloorMotion],
     size: tuple[int, int],
@@ -152,14 +216,12 @@ def estimate_camera(
         np.array([math.log(focal), math.radians(pitch), 0.0, 0.0])
         for focal, pitch in product(focals, _PITCHES)
     ]
-    few = [_some(one, _ROUGH_MATCHES) for one in motions]
+    few, most = (_Matches.of(motions, count) for count in (_ROUGH_MATCHES, _MAX_MATCHES))
     rough = [_solved(few, width, start, prior, _ROUGH_STEPS) for start in starts]
     best = min(rough, key=lambda one: float(one.cost))
-    best = _solved([_some(one, _MAX_MATCHES) for one in motions], width, best.x, prior)
-    lengths = np.concatenate(
-        [np.linalg.norm(_residuals(one, best.x, width), axis=1) for one in motions]
-    )
-    median = float(np.median(lengths))
+    best = _solved(most, width, best.x, prior)
+    every = _Matches.of(motions, max(len(one.pixels_a) for one in motions))
+    median = float(np.median(np.linalg.norm(every.residuals(best.x, width), axis=1)))
     noise = max(median / 1.18, 0.05) / _LOSS_PIXELS
     jacobian = np.asarray(best.jac, np.float64)
     covariance = noise**2 * np.linalg.pinv(jacobian.T @ jacobian)
@@ -172,7 +234,7 @@ def estimate_camera(
 
 
 def _solved(
-    motions: Sequence[FloorMotion],
+    matches: _Matches,
     width: int,
     start: Float64Array,
     focal: _FocalPrior,
@@ -181,21 +243,15 @@ def _solved(
     """Return the least squares of log focal length (widths), pitch, roll and k1, from a start."""
 
     def misfit(values: Float64Array) -> Float64Array:
-        residual = [_residuals(one, values, width).ravel() / _LOSS_PIXELS for one in motions]
+        residual = matches.residuals(values, width).ravel() / _LOSS_PIXELS
         prior = [
             (values[0] - focal.log_widths) / focal.sigma,
             values[2] / ROLL_PRIOR_SIGMA,
             values[3] / BEND_PRIOR_SIGMA,
         ]
-        return np.concatenate([*residual, prior])
+        return np.concatenate([residual, prior])
 
     return least_squares(misfit, start, loss="cauchy", x_scale="jac", max_nfev=steps)
-
-
-def _some(motion: FloorMotion, count: int) -> FloorMotion:
-    """Return a motion with at most so many of its matches."""
-    chosen = slice(None, None, -(-len(motion.pixels_a) // count))
-    return replace(motion, pixels_a=motion.pixels_a[chosen], pixels_b=motion.pixels_b[chosen])
 
 
 def _checked(camera: ObliqueCamera, width: int) -> ObliqueCamera:
@@ -210,27 +266,3 @@ def _checked(camera: ObliqueCamera, width: int) -> ObliqueCamera:
 
 def _none(reason: str) -> ObliqueCamera:
     return ObliqueCamera(math.nan, math.nan, math.nan, 0.0, math.nan, math.nan, math.nan, reason)
-
-
-def _residuals(motion: FloorMotion, values: Float64Array, width: int) -> Float64Array:
-    """Return (N, 2) pixels: the second frame's points, by the best rigid motion, in the first."""
-    log_focal, pitch, roll, k1 = values.tolist()
-    focal = width * math.exp(log_focal)
-    matrix = np.diag([focal, focal, 1.0])
-    image_from_floor = image_from_robot_homography(matrix, 1.0, pitch, roll)
-    floor_from_image = invert(image_from_floor)
-    seen = [undistorted(pixels, k1, focal) for pixels in (motion.pixels_a, motion.pixels_b)]
-    depths = [points @ floor_from_image[2, :2] + floor_from_image[2, 2] for points in seen]
-    below = (depths[0] > 1e-6) & (depths[1] > 1e-6)
-    residual = np.full_like(motion.pixels_a, _BEHIND_PIXELS)
-    if below.sum() < 2:
-        return residual
-    floor_a, floor_b = (apply_homography(floor_from_image, points[below]) for points in seen)
-    # An error of a pixel far away is one of much floor.
-    with np.errstate(over="ignore"):
-        weights = np.minimum(depths[0][below], depths[1][below]) ** 4
-    if not np.isfinite(weights).all():
-        return residual
-    moved = fit_rigid_2d(floor_a, floor_b, weights).apply(floor_b)
-    residual[below] = apply_homography(image_from_floor, moved) - seen[0][below]
-    return np.clip(np.nan_to_num(residual, nan=_BEHIND_PIXELS), -_BEHIND_PIXELS, _BEHIND_PIXELS)

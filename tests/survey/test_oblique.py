@@ -48,7 +48,7 @@ def test_turns_determine_the_camera() -> None:
 
 def test_a_focal_length_beyond_numbers_is_no_camera() -> None:
     (motion,) = motions([Pose2(0.1, 0.0, 0.2)])
-    off = oblique._residuals(motion, np.array([-200.0, 1.0, 0.0, 0.0]), 640)
+    off = oblique._Matches.of([motion], 100).residuals(np.array([-200.0, 1.0, 0.0, 0.0]), 640)
     assert np.abs(off).min() == oblique._BEHIND_PIXELS
 
 
