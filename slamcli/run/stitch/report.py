@@ -112,8 +112,7 @@ def _use_rows(located: LocatedDrive) -> list[tuple[str, str]]:
         rows.append(("map.slam", f"to render; slam locate and --extend do not take {method}"))
     if located.survey is not None:
         rows += located.survey.rows
-    if located.survey is not None or located.scale_rows:
-        rows.append(("map.slam", "to render; slam locate and --extend do not take surveys"))
+        rows.append(("map.slam", "slam locate takes frames about as high and level as the mean"))
     return rows
 
 
