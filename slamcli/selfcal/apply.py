@@ -25,7 +25,8 @@ def apply_adjustment(
 ) -> RegisteredDrive:
     """Return the drive with adjusted camera and poses, all lengths multiplied by `scale`.
 
-    A frame without matches of its own moves with the nearest adjusted one of its map.
+    A frame without matches of its own moves with the nearest adjusted one of its map. A link
+    between two adjusted frames becomes the motion between their poses.
     """
     calibration = _scaled_camera(found, drive.calibration, scale)
     before = {e.index: e for e in drive.estimates if e.map_from_robot is not None}
@@ -54,15 +55,26 @@ def apply_adjustment(
     floor_map = drive.floor_map
     if floor_map is not None:
         kept = tuple(by_index[estimate.index] for estimate in floor_map.estimates)
-        links = tuple(_scaled(link, scale) for link in floor_map.links)
+        links = tuple(_adjusted(link, found, scale) for link in floor_map.links)
         floor_map = replace(floor_map, calibration=calibration, estimates=kept, links=links)
     return replace(
         drive,
         calibration=calibration,
         estimates=estimates,
-        links=[_scaled(link, scale) for link in drive.links],
+        links=[
+            _scaled(link, scale) if number in drive.switched_off else _adjusted(link, found, scale)
+            for number, link in enumerate(drive.links)
+        ],
         floor_map=floor_map,
     )
+
+
+def _adjusted(link: Link, found: adjustment.Adjustment, scale: float) -> Link:
+    """Return a link as the adjusted poses of its frames have it, its lengths multiplied."""
+    if link.kind in ("step", "loop") and link.a in found.poses and link.b in found.poses:
+        a, b = (found.poses[index].map_from_robot for index in (link.a, link.b))
+        link = replace(link, a_from_b=a.inverse() @ b)
+    return _scaled(link, scale)
 
 
 def _scaled(link: Link, scale: float) -> Link:

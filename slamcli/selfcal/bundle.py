@@ -95,7 +95,11 @@ class BundleRound:
 
 
 def adjust_drive(
-    drive: RegisteredDrive, read: Read, in_order: InOrder, effort: Effort, *, coarse: bool
+    drive: RegisteredDrive,
+    read: Read,
+    in_order: InOrder,
+    effort: Effort,
+    before: adjustment.Adjustment | None = None,
 ) -> BundleRound | None:
     """Return the correspondences of a drive and their adjustment; None when too few frames overlap.
 
@@ -107,9 +111,10 @@ def adjust_drive(
     in_order : callable
         Like `map`; may work ahead.
     effort : Effort
-    coarse : bool
-        Whether the predicted matches may be far off, as with the first calibration: then those of a
-        coarse pyramid level are adjusted first, to predict the others.
+    before : Adjustment or None
+        Of the round before, from which the drive's camera is. Without one, predicted matches may be
+        far off: then fewer, from a coarse pyramid level on, are adjusted first to predict the
+        others.
     """
     calibration = drive.calibration
     poses = {
@@ -122,15 +127,16 @@ def adjust_drive(
         return None
     found: adjustment.Adjustment | None = None
     change = np.zeros(len(NONE))
-    for coarsest in (adjustment.MAX_LEVEL, 1) if coarse else (1,):
+    sigmas = None if before is None else before.rocking_sigmas
+    share = max(min(_MAX_MATCHES // len(pairs), effort.matches_a_pair), _MIN_MATCHES_A_PAIR)
+    for coarsest in (adjustment.MAX_LEVEL, 1) if before is None else (1,):
+        rough = coarsest == adjustment.MAX_LEVEL
         matcher = Matcher(calibration, poses, drive.links, read, coarsest)
-        share = min(_MAX_MATCHES // len(pairs), effort.matches_a_pair)
-        find = partial(matcher.match, count=max(share, _MIN_MATCHES_A_PAIR))
+        find = partial(matcher.match, count=_MIN_MATCHES_A_PAIR if rough else share)
         matches = [match for match in in_order(find, pairs) if match is not None]
         if len(matches) < _MIN_PAIRS:
             return None
-        rough = coarsest == adjustment.MAX_LEVEL
-        found = _adjust_camera(calibration, poses, matches, rough=rough)
+        found = _adjust_camera(calibration, poses, matches, sigmas, rough=rough)
         calibration, poses = found.calibration, {**poses, **found.poses}
         change += found.camera_change
     assert found is not None
@@ -188,11 +194,16 @@ def _adjust_camera(
     calibration: Calibration,
     poses: Mapping[int, adjustment.FramePose],
     matches: Sequence[adjustment.Matches],
+    sigmas: Float64Array | None,
     *,
     rough: bool,
 ) -> adjustment.Adjustment:
-    """Return the adjustment with every lens parameter that the matches determine."""
-    plain = fit(calibration, poses, matches, _WITH_K1, rounds=_WARM_ROUNDS if rough else None)
+    """Return the adjustment with every lens parameter that the matches determine.
+
+    The estimation of the rocking's sigmas starts from those given, or from a first guess.
+    """
+    rounds = _WARM_ROUNDS if rough else None
+    plain = fit(calibration, poses, matches, _WITH_K1, sigmas, rounds)
     loose = np.sqrt(np.diag(plain.camera_covariance)) > MAX_SIGMAS
     if rough or np.any(loose):
         return plain

@@ -88,7 +88,7 @@ def refine_calibration(
     calibration = first.calibration
     if not math.isfinite(calibration.height_metres):
         return SelfCalibration(first, "not applied", "there is no calibration to refine")
-    bundle = adjust_drive(first, read, in_order, effort, coarse=True)
+    bundle = adjust_drive(first, read, in_order, effort)
     if bundle is None:
         return SelfCalibration(first, "not applied", "too few frames share floor")
     rejection = unobservable(bundle.found)
@@ -102,8 +102,8 @@ def refine_calibration(
     current, rounds = first, 1
     max_rounds = 1 if effort is BRIEF and _is_whole(first) else effort.rounds
     while rounds < max_rounds and not (rounds > 1 and has_converged(bundle.found)):
-        current = register(with_range(calibration, bundle.found.calibration))
-        following = adjust_drive(current, read, in_order, effort, coarse=False)
+        current = _located_anew(first, current, bundle, register)
+        following = adjust_drive(current, read, in_order, effort, bundle.found)
         rejection = _rejection(first, current, following)
         if following is None or rejection:
             return SelfCalibration(first, "not applied", rejection, rounds)
@@ -116,6 +116,22 @@ def refine_calibration(
     reason = describe_change(calibration, done.calibration)
     after = median_pixels(found, bundle.matches)
     return SelfCalibration(done, "refined", reason, rounds, before, after, found.rocking_sigmas)
+
+
+def _located_anew(
+    first: RegisteredDrive,
+    current: RegisteredDrive,
+    bundle: BundleRound,
+    register: Callable[[Calibration], RegisteredDrive],
+) -> RegisteredDrive:
+    """Return the drive with the adjusted camera, from which the next round predicts its matches.
+
+    Where all frames are placed in one map and each is matched, their adjusted poses predict them as
+    well as a registration does, which costs as much as all else.
+    """
+    if _is_whole(first) and len(bundle.found.poses) == len(first.estimates):
+        return apply_adjustment(current, bundle.found, 1.0)
+    return register(with_range(first.calibration, bundle.found.calibration))
 
 
 def _confirm(
@@ -131,8 +147,12 @@ def _confirm(
 
 def _rejection(first: RegisteredDrive, current: RegisteredDrive, bundle: BundleRound | None) -> str:
     """Return why frames registered anew are evidence against the camera; empty when not."""
-    if _placed(current) < _placed(first):
-        return f"the refined camera places {_placed(current)} frames of {_placed(first)}"
+    placed = _placed(current)
+    if bundle is not None and _is_whole(current):
+        # A camera with which a frame no longer matches any other cannot place it.
+        placed = min(placed, len(bundle.found.poses))
+    if placed < _placed(first):
+        return f"the refined camera places {placed} frames of {_placed(first)}"
     if bundle is None:
         return "with the refined camera too few frames share floor"
     return unobservable(bundle.found)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -81,6 +82,18 @@ def test_the_map_is_of_the_adjusted_camera_and_its_links_have_the_true_scale():
     for link in (*done.floor_map.links, *done.links):
         assert link.a_from_b == Pose2(0.2, 0.0, 0.2)
         np.testing.assert_array_equal(np.diag(link.covariance), [4.0, 4.0, 1.0])
+
+
+def test_links_between_adjusted_frames_are_the_motions_between_their_poses():
+    drive = registered()
+    links = [
+        Link(0, 2, Pose2(0.2, 0.0, 0.0), np.eye(3), 50, 1.0, kind)
+        for kind in ("step", "loop", "odometry", "loop")
+    ]
+    # What is measured by other sensors stays, and so does a link that the others contradict.
+    drive = replace(drive, links=links, switched_off=frozenset({3}))
+    motions = [link.a_from_b for link in apply_adjustment(drive, adjusted(), 1.0).links]
+    assert motions == [MOVED, MOVED, Pose2(0.2, 0.0, 0.0), Pose2(0.2, 0.0, 0.0)]
 
 
 def test_the_adjusted_camera_carries_its_sigmas_and_the_true_height():

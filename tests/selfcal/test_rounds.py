@@ -128,9 +128,34 @@ def test_a_camera_that_becomes_unobservable_is_not_applied(refine):
 
 
 def test_a_camera_that_places_fewer_frames_is_not_applied(refine):
+    first = registered(WRONG, COUNT - 1)
+    done, _ = refine(first, [bundle_round(CHANGE, SURE)] * 2, placed=COUNT - 2)
+    not_applied(done, first, "places 4 frames of 5")
+
+
+def test_a_camera_with_which_a_frame_of_a_whole_map_matches_no_other_is_not_applied(refine):
     first = registered(WRONG)
-    done, _ = refine(first, [bundle_round(CHANGE, SURE)] * 2, placed=COUNT - 1)
+    fewer = bundle_round(CHANGE, SURE)
+    poses = {index: pose for index, pose in fewer.found.poses.items() if index}
+    fewer = replace(fewer, found=replace(fewer.found, poses=poses))
+    done, _ = refine(first, [bundle_round(CHANGE, SURE), fewer])
     not_applied(done, first, "places 5 frames of 6")
+
+
+@pytest.mark.parametrize("placed", [COUNT, COUNT - 1])
+def test_only_a_drive_with_lost_frames_is_registered_anew(monkeypatch, placed):
+    results = iter([bundle_round(CHANGE, SURE), bundle_round(np.zeros(7), SURE)])
+    monkeypatch.setattr(rounds, "adjust_drive", lambda *_args, **_options: next(results))
+    cameras = []
+
+    def register(calibration):
+        cameras.append(calibration)
+        return registered(calibration, placed)
+
+    first = registered(WRONG, placed)
+    done = refine_calibration(first, None, register, map, lambda _: 1.0, THOROUGH)
+    assert done.verdict == "refined"
+    assert len(cameras) == (placed < COUNT)
 
 
 def test_a_camera_with_which_frames_no_longer_overlap_is_not_applied(refine):

@@ -19,6 +19,7 @@ from slamcli.stages.adjustment.projection import (
     CAMERA_PARAMETERS,
     FRAME_PARAMETERS,
     POSE_PARAMETERS,
+    product,
 )
 
 # [All thresholds here are guarded by benchmarks/self_calibration.py.]
@@ -155,14 +156,14 @@ def linearise(state: BundleState, observations: Observations, layout: Layout) ->
     by_rise = observations.whitened(-moved.by_a[:, -1] / a - moved.by_b[:, -1] / b)
     shrink = _shrinking(by_rise * state.unevenness_metres)
     jacobian = np.concatenate([moved.by_camera, moved.by_a, moved.by_b], axis=1)
-    whitening = np.einsum("ijm,jkm->ikm", shrink, observations.whitening)
+    whitening = product(shrink, observations.whitening)
     seen = np.isfinite(moved.pixels).all(axis=0)
     return Linearisation(
         observations.pairs,
         _unknowns(observations.pairs, layout),
         np.searchsorted(observations.pair[seen], np.arange(len(observations.pairs) + 1)),
-        np.einsum("ijm,jm->im", shrink, plain)[:, seen],
-        np.einsum("ijm,jkm->ikm", whitening, jacobian)[:, :, seen],
+        product(shrink, plain[:, None])[:, 0, seen],
+        product(whitening, jacobian)[:, :, seen],
         observations.median[seen],
         plain[:, seen],
         by_rise[:, seen],

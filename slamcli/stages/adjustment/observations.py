@@ -12,7 +12,7 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.robust import NORMAL_MEDIAN, RAYLEIGH_MEDIAN
 from slamcli.stages.adjustment.frame_poses import FramePose, MountedFrames
 from slamcli.stages.adjustment.patch_tracking import Matches
-from slamcli.stages.adjustment.projection import Transfer, transfer_with_jacobians
+from slamcli.stages.adjustment.projection import Transfer, product, transfer_with_jacobians
 
 # A match whose one direction is known this much worse than the other lies on a line
 # [guarded by benchmarks/self_calibration.py].
@@ -68,7 +68,7 @@ class Observations:
 
     def whitened(self, errors: Float64Array) -> Float64Array:
         """Return errors (2, M) of `pixels_b` in standard deviations."""
-        return np.asarray(np.einsum("ijm,jm->im", self.whitening, errors))
+        return product(self.whitening, errors[:, None])[:, 0]
 
 
 def residual_lengths(

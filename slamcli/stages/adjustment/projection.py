@@ -104,26 +104,26 @@ def transfer_with_jacobians(
     rays = apply_homography(invert(calibration.camera_matrix), undistorted).T
     seen_a = _lens(calibration, rays)
     # The lens inverted: what moves the pixel moves the ray the other way.
-    ray_by_lens = -_product(_inverses(seen_a.by_ray), seen_a.by_lens)
+    ray_by_lens = -product(_inverses(seen_a.by_ray), seen_a.by_lens)
     floor = _to_floor(a, rays)
     x, y, theta = relative_poses(b.poses, a.poses).T
     cosine, sine = np.cos(theta), np.sin(theta)
     turn = np.array([[cosine, -sine], [sine, cosine]])
-    there = np.einsum("ijn,jn->in", turn, floor.points) + np.array([x, y])
+    there = product(turn, floor.points[:, None])[:, 0] + np.array([x, y])
     back = _to_ray(b, there)
     seen_b = _lens(calibration, back.rays)
     pixels = np.where(floor.seen & back.seen, seen_b.pixels, np.nan)
 
-    pixel_by_there = _product(seen_b.by_ray, back.by_points)
-    pixel_by_floor = _product(pixel_by_there, turn)
-    by_mounting_a = _product(pixel_by_floor, floor.by_mounting)
-    by_mounting_b = _product(seen_b.by_ray, back.by_mounting)
+    pixel_by_there = product(seen_b.by_ray, back.by_points)
+    pixel_by_floor = product(pixel_by_there, turn)
+    by_mounting_a = product(pixel_by_floor, floor.by_mounting)
+    by_mounting_b = product(seen_b.by_ray, back.by_mounting)
     by_camera = np.empty((2, CAMERA_PARAMETERS, count))
-    by_lens = seen_b.by_lens + _product(_product(pixel_by_floor, floor.by_rays), ray_by_lens)
+    by_lens = seen_b.by_lens + product(product(pixel_by_floor, floor.by_rays), ray_by_lens)
     by_camera[:, :3], by_camera[:, 5:] = by_lens[:, :3], by_lens[:, 3:]
     by_camera[:, 3:5] = by_mounting_a[:, :2] + by_mounting_b[:, :2]
-    by_motion_a = _product(pixel_by_floor, _by_motion(floor.points))
-    by_motion_b = -_product(pixel_by_there, _by_motion(there))
+    by_motion_a = product(pixel_by_floor, _by_motion(floor.points))
+    by_motion_b = -product(pixel_by_there, _by_motion(there))
     return Transfer(
         pixels,
         by_camera,
@@ -164,12 +164,15 @@ class _FloorRays:
     by_mounting: Float64Array
 
 
-def _product(a: Float64Array, b: Float64Array) -> Float64Array:
+def product(a: Float64Array, b: Float64Array) -> Float64Array:
     """Return (I, K, N): the products of N matrices (I, J, N) and (J, K, N).
 
     With the matrices along the last axis, numpy computes each element for all of them at once.
     """
-    return np.asarray(np.einsum("ijn,jkn->ikn", a, b))
+    total = a[:, 0, None] * b[None, 0]
+    for number in range(1, a.shape[1]):
+        total += a[:, number, None] * b[None, number]
+    return total
 
 
 def _inverses(matrices: Float64Array) -> Float64Array:
@@ -203,16 +206,16 @@ def _lens(calibration: Calibration, rays: Float64Array) -> _LensPixels:
 
 def _to_floor(frames: MountedFrames, rays: Float64Array) -> _FloorPoints:
     rotations = frames.rotations
-    directions = np.einsum("ijn,jn->in", rotations[:, :2], rays) + rotations[:, 2]
+    directions = product(rotations[:, :2], rays[:, None])[:, 0] + rotations[:, 2]
     seen = directions[2] < 0.0
     down = np.where(seen, directions[2], -1.0)
     points = directions[:2] * (-frames.heights / down)
     by_direction = np.zeros((2, 3, rays.shape[1]))
     by_direction[0, 0] = by_direction[1, 1] = -frames.heights / down
     by_direction[:, 2] = -points / down
-    turned = _product(by_direction, _by_rotation(frames.axes, directions))
+    turned = product(by_direction, _by_rotation(frames.axes, directions))
     by_mounting = np.concatenate([turned, points[:, None]], axis=1)
-    return _FloorPoints(points, seen, _product(by_direction, rotations[:, :2]), by_mounting)
+    return _FloorPoints(points, seen, product(by_direction, rotations[:, :2]), by_mounting)
 
 
 def _by_rotation(axes: Float64Array, directions: Float64Array) -> Float64Array:
@@ -230,16 +233,16 @@ def _to_ray(frames: MountedFrames, points: Float64Array) -> _FloorRays:
     count = points.shape[1]
     heights = np.broadcast_to(frames.heights, (1, count))
     directions = np.concatenate([points, -heights])
-    optical = np.einsum("ijn,in->jn", frames.rotations, directions)
+    optical = product(directions[None], frames.rotations)[0]
     seen = optical[2] > 0.0
     depth = np.where(seen, optical[2], 1.0)
     rays = optical[:2] / depth
     by_optical = np.zeros((2, 3, count))
     by_optical[0, 0] = by_optical[1, 1] = 1.0 / depth
     by_optical[:, 2] = -rays / depth
-    by_direction = _product(by_optical, frames.rotations.transpose(1, 0, 2))
+    by_direction = product(by_optical, frames.rotations.transpose(1, 0, 2))
     # As the camera turns, directions in its frame turn the other way.
-    turned = -_product(by_direction, _by_rotation(frames.axes, directions))
+    turned = -product(by_direction, _by_rotation(frames.axes, directions))
     by_height = by_direction[:, 2:] * -heights
     by_mounting = np.concatenate([turned, by_height], axis=1)
     return _FloorRays(rays, seen, by_direction[:, :2], by_mounting)
