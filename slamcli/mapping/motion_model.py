@@ -103,11 +103,18 @@ class MotionModel:
         steps = prepared.index - frame
         if motion is None or not 1 <= steps <= _MAX_PREDICTED_STEPS:
             return None
-        if self._graph[keyframe.index].fragment != self._graph[frame].fragment:
+        start, known = frame, self._graph[keyframe.index]
+        if known.map_from_robot is None and keyframe.index > frame:
+            # Where a lost frame lies is not known, but how the robot moves on from there.
+            start, first = keyframe.index, Pose2()
+        elif known.fragment == self._graph[frame].fragment:
+            first = self._motion_from(keyframe)
+        else:
             return None
-        predicted = repeated(self._motion_from(keyframe), motion, steps)
+        predicted = repeated(first, motion, prepared.index - start)
         # The motion varies by one sigma from each step to the next.
-        sigmas = 0.5 * steps * (steps + 1) * np.array(self._prediction_sigmas())
+        varied = range(start - frame + 1, steps + 1)
+        sigmas = sum(varied) * np.array(self._prediction_sigmas())
         return dense.MotionPrior(predicted, np.diag(sigmas) ** 2)
 
     def _prediction_sigmas(self) -> tuple[float, float, float]:

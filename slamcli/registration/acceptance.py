@@ -237,6 +237,15 @@ def expected_elsewhere(fit: MotionHypothesis, expected: Pose2) -> str:
     )
 
 
+def surprising(fit: MotionHypothesis, expected: Pose2) -> str:
+    """Return why a motion is not accepted that few patches show: another one is expected."""
+    apart = (fit.pose.inverse() @ expected).translation_length
+    return (
+        f"too few patches of the floor show the motion, and the robot is expected {apart:.2g} "
+        "farther on"
+    )
+
+
 def check_observable(
     fit: MotionHypothesis, range_metres: float, options: MapperOptions, *, backed: bool = False
 ) -> str:

@@ -40,6 +40,14 @@ def is_expected(prior: dense.MotionPrior | None, pose: Pose2) -> bool:
     return prior is not None and _distance(prior, pose) <= _MAX_EXPECTED
 
 
+def is_surprising(prior: dense.MotionPrior | None, fit: MotionHypothesis) -> bool:
+    """Return whether a measured motion is farther from the expected one than both sigmas allow."""
+    if prior is None:
+        return False
+    covariance = prior.covariance + fit.predicted_covariance
+    return squared_mahalanobis(prior.a_from_b, covariance, fit.pose) > _MAX_EXPECTED
+
+
 def is_excluded(prior: dense.MotionPrior | None, pose: Pose2) -> bool:
     """Return whether a prior excludes a motion; False without a prior."""
     return prior is not None and _distance(prior, pose) >= _MIN_EXCLUDED

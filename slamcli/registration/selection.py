@@ -287,9 +287,7 @@ class PairContext:
             inliers = self.alignment.inlier_count if math.isnan(rival) else 0
             score = confidence.score(evidence)
             if verdict.outcome in ("accepted", "partial"):
-                rejection = acceptance.check_score(
-                    score, self.options, supported=math.isnan(rival) or self._is_supported(fit)
-                )
+                rejection = self._check_support(fit, rival, score)
                 verdict = Verdict.of(rejection) if rejection else verdict
             frames = self.keyframe.index, self.prepared.index
             if verdict.outcome == "accepted":
@@ -311,11 +309,26 @@ class PairContext:
             partial,
         )
 
-    def _is_supported(self, fit: MotionHypothesis) -> bool:
-        """Return whether patches or many features support a motion, or the prior expects it."""
-        if not math.isnan(fit.agreement.confirmed):
-            return True
-        return acceptance.backed_by_features(self.alignment, self.options) or (
+    def _check_support(self, fit: MotionHypothesis, rival: float, score: float) -> str:
+        """Return why a motion is not accepted that is likely to be wrong, or that only lines show.
+
+        Patches, many features or what is expected support a motion. A wall or an obstacle that few
+        lines of another view imitate contradicts what is expected.
+        """
+        supported = (
+            math.isnan(rival)
+            or not math.isnan(fit.agreement.confirmed)
+            or acceptance.backed_by_features(self.alignment, self.options)
+        )
+        if not supported and rivals.is_surprising(self.prior, fit):
+            assert self.prior is not None
+            return acceptance.surprising(fit, self.prior.a_from_b)
+        supported = supported or self._expects(fit)
+        return acceptance.check_score(score, self.options, supported=supported)
+
+    def _expects(self, fit: MotionHypothesis) -> bool:
+        """Return whether a prior that is certain enough to support a motion expects it."""
+        return (
             self.prior is not None
             and rivals.is_expected(self.prior, fit.pose)
             and math.sqrt(self.prior.covariance[:2, :2].max())

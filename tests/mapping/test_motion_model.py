@@ -86,6 +86,20 @@ def test_the_latest_motion_is_repeated_across_lost_frames_with_a_spread_that_gro
     assert drive.model.prior(frame(1), frame(12)) is None
 
 
+def test_the_motion_from_a_lost_frame_is_the_latest_with_the_spread_of_what_it_varied_since() -> (
+    None
+):
+    drive = Drive(9, lost=(7, 8))
+    near = drive.model.prior(frame(6), frame(7))
+    assert near is not None
+    for start, end, varied in ((7, 8, 2), (7, 9, 2 + 3), (8, 9, 3)):
+        prior = drive.model.prior(frame(start), frame(end))
+        assert prior is not None
+        assert_near(prior.a_from_b, drive.motion(start, end))
+        np.testing.assert_allclose(prior.covariance, varied**2 * near.covariance)
+    assert drive.model.prior(frame(8), frame(11)) is None
+
+
 def test_there_is_no_motion_over_a_break_or_to_another_fragment() -> None:
     assert Drive(4, lost=(2,)).tracking.motion is None
     assert Drive(4, fragments=(0, 0, 0, 1)).tracking.motion is None

@@ -379,3 +379,30 @@ def test_a_motion_over_many_features_may_be_less_certain() -> None:
     fit = fit_of(HERE, sigmas=(0.001, sigma, 0.001))
     assert context_of(35)._check_observable(fit) != ""
     assert context_of(36)._check_observable(fit) == ""
+
+
+@pytest.mark.parametrize(
+    ("confirmed", "inliers", "metres_off", "accepted"),
+    [
+        (math.nan, 5, 0.01, True),
+        (math.nan, 5, 0.1, False),
+        (1.0, 5, 0.1, True),
+        (math.nan, 40, 0.1, True),
+    ],
+    ids=["as expected", "elsewhere", "by patches", "by features"],
+)
+def test_what_only_lines_show_must_be_expected(
+    monkeypatch: pytest.MonkeyPatch,
+    confirmed: float,
+    inliers: int,
+    metres_off: float,
+    accepted: bool,
+) -> None:
+    monkeypatch.setattr(confidence, "score", lambda evidence: 0.95)
+    fit = fit_of(HERE, confirmed=confirmed)
+    expected = dense.MotionPrior(HERE @ Pose2(metres_off), np.diag([0.01, 0.01, 0.01]) ** 2)
+    context = replace(context_of(inliers), prior=expected)
+    result = context.result(fit, ACCEPTED, 0.0)
+    assert (result.link is not None) is accepted
+    assert ("the robot is expected 0.1 farther on" in result.reason) is not accepted
+    assert replace(context, prior=None).result(fit, ACCEPTED, 0.0).link is not None
