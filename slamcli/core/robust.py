@@ -47,10 +47,14 @@ def fit_rigid_2d(a: Float64Array, b: Float64Array, weights: Float64Array | None 
     weights : (N,) float64 or None
         None: all alike.
     """
-    centre_a, centre_b = (np.average(points, axis=0, weights=weights) for points in (a, b))
-    from_a, from_b = a - centre_a, b - centre_b
-    if weights is not None:
-        from_a = weights[:, None] * from_a
+    if weights is None:
+        centre_a, centre_b = a.mean(axis=0), b.mean(axis=0)
+        from_a, from_b = a - centre_a, b - centre_b
+    else:
+        share = weights[:, None]
+        total = share.sum(axis=0)
+        centre_a, centre_b = (share * a).sum(axis=0) / total, (share * b).sum(axis=0) / total
+        from_a, from_b = share * (a - centre_a), b - centre_b
     sine = float(np.sum(from_b[:, 0] * from_a[:, 1] - from_b[:, 1] * from_a[:, 0]))
     turn = math.atan2(sine, float(np.sum(from_b * from_a)))
     moved = Pose2(0.0, 0.0, turn).apply(centre_b)

@@ -155,12 +155,16 @@ class Relocalizer:
         return RepeatMarks(pair, *periods, self._calibration).support(result.fit, alone=True)
 
     def track(
-        self, a: int, prepared: PreparedFrame, prior: dense.MotionPrior
+        self,
+        a: int,
+        prepared: PreparedFrame,
+        prior: dense.MotionPrior,
+        levels: int = direct.LEVELS,
     ) -> RegistrationResult | None:
-        """Register a frame to a keyframe by pixels alone, from where it is expected; else None."""
-        keyframe = self.database.decode(a)
-        expected = prior.a_from_b
-        result = direct.track(keyframe, prepared, expected, self._calibration, self._options, prior)
+        """Register a frame to a keyframe by pixels alone, about where it is expected; else None."""
+        keyframe, expected = self.database.decode(a), prior.a_from_b
+        calibration, options = self._calibration, self._options
+        result = direct.track(keyframe, prepared, expected, calibration, options, prior, levels)
         if result is None or result.link is None or result.confirmed < _MIN_CONFIRMED:
             return None
         return replace(result, link=replace(result.link, kind="loop"))

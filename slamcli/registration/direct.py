@@ -28,6 +28,8 @@ from slamcli.registration.result import ACCEPTED, RegistrationResult
 from slamcli.registration.selection import PairContext
 from slamcli.stages import dense
 
+# From frame to frame the motion model is off by less than a pixel or two.
+LEVELS = 2
 # Share of the overlap's informative patches that must agree [guarded by benchmarks/robustness.py].
 _MIN_CONFIRMED = 0.7
 # A narrow strip fits nearly anything [guarded by benchmarks/robustness.py].
@@ -60,6 +62,7 @@ def track(
     calibration: Calibration,
     options: MapperOptions,
     prior: dense.MotionPrior,
+    levels: int = LEVELS,
 ) -> RegistrationResult | None:
     """Return a frame's motion from a keyframe, refined on the pixels of both.
 
@@ -72,6 +75,8 @@ def track(
     options : MapperOptions
     prior : MotionPrior
         What odometry or the motion model say of the motion; a surprising motion is not accepted.
+    levels : int
+        The finest levels of the pyramids that are used; the more, the farther the start may be off.
 
     Returns
     -------
@@ -80,8 +85,8 @@ def track(
     """
     pair = PyramidPair(keyframe.levels, prepared.levels)
     refined = dense.refine(
-        pair.a[:2],
-        pair.b[:2],
+        pair.a[:levels],
+        pair.b[:levels],
         start,
         calibration,
         0.0,

@@ -70,6 +70,24 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     return counted
 
 
+def test_more_levels_track_a_frame_that_lies_farther_from_where_it_is_expected(
+    photographer: photograph.Photographer, pictures: list[np.ndarray], truth: list[Pose2]
+) -> None:
+    preparer = preprocessing.Preprocessor(
+        photographer.calibration, MapperOptions(metres_per_pixel=0.0004)
+    )
+    a, b = (preparer.prepare(Frame(i, str(i), None, pictures[i])) for i in (0, 1))
+    assert len(a.levels) == 3
+    prior = dense.MotionPrior(truth[1] @ Pose2(0.01, -0.008, 0.03), np.eye(3) * 0.05**2)
+
+    def tracked(levels: int) -> bool:
+        start, camera = prior.a_from_b, photographer.calibration
+        found = direct.track(a, b, start, camera, MapperOptions(), prior, levels)
+        return found is not None
+
+    assert [tracked(levels) for levels in (2, 3)] == [False, True]
+
+
 def test_only_keyframes_have_features_and_most_frames_take_few_kernels(
     photographer: photograph.Photographer,
     pictures: list[np.ndarray],

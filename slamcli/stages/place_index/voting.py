@@ -6,9 +6,11 @@ scale); matches by chance do not.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
-from slamcli.core.arrays import Float32Array, Float64Array
+from slamcli.core.arrays import Float32Array, IntpArray
 from slamcli.core.geometry import Pose2
 from slamcli.core.robust import fit_rigid_2d
 
@@ -38,45 +40,38 @@ def vote(points_a: Float32Array, points_b: Float32Array) -> tuple[Pose2, int] | 
         return None
     a, b = points_a[:, :2].astype(np.float64), points_b[:, :2].astype(np.float64)
     tolerance = _AGREEING_SIGMAS * np.hypot(points_a[:, 2], points_b[:, 2]).astype(np.float64)
-    first, second = np.triu_indices(len(a), 1)
-    base_a, base_b = a[second] - a[first], b[second] - b[first]
-    length_a, length_b = np.hypot(*base_a.T), np.hypot(*base_b.T)
-    slack = np.hypot(tolerance[first], tolerance[second])
-    sound = (np.abs(length_a - length_b) < slack) & (length_a > _MIN_BASE * slack)
+    # Points as complex numbers: a motion turns and shifts them in one product.
+    at_a, at_b = a[:, 0] + 1j * a[:, 1], b[:, 0] + 1j * b[:, 1]
+    first, second = _pairs(len(a))
+    base_a, base_b = at_a[second] - at_a[first], at_b[second] - at_b[first]
+    length_a = np.abs(base_a)
+    slack = np.sqrt((tolerance**2)[first] + (tolerance**2)[second])
+    sound = np.abs(length_a - np.abs(base_b)) < slack
+    sound &= length_a > _MIN_BASE * slack
     pairs = np.flatnonzero(sound)
     if not len(pairs):
         return None
     # In the longest pairs, for their tolerance, the points' errors turn a motion least.
     pairs = pairs[np.argsort(-(length_a / slack)[pairs], kind="stable")[:_MAX_HYPOTHESES]]
-    turns = np.arctan2(base_a[pairs, 1], base_a[pairs, 0])
-    turns -= np.arctan2(base_b[pairs, 1], base_b[pairs, 0])
-    middle_a = 0.5 * (a[first[pairs]] + a[second[pairs]])
-    middle_b = 0.5 * (b[first[pairs]] + b[second[pairs]])
-    residuals = _residuals(turns, middle_a, middle_b, a, b)
-    inliers = residuals < tolerance
-    votes = inliers.sum(axis=1)
-    best = int(votes.argmax())
+    turns = base_a[pairs] * base_b[pairs].conj()
+    turns /= np.abs(turns)
+    middle_a = 0.5 * (at_a[first[pairs]] + at_a[second[pairs]])
+    middle_b = 0.5 * (at_b[first[pairs]] + at_b[second[pairs]])
+    away = turns[:, None] * at_b + (middle_a - turns * middle_b)[:, None] - at_a
+    inliers = away.real**2 + away.imag**2 < tolerance**2
+    best = int(inliers.sum(axis=1).argmax())
     pose, agree = Pose2(), inliers[best]
     for _ in range(_REFITS):
         if np.count_nonzero(agree) < MIN_VOTES:
             return None
         pose = fit_rigid_2d(a[agree], b[agree], 1.0 / tolerance[agree] ** 2)
-        agree = np.hypot(*(pose.apply(b) - a).T) < tolerance
+        agree = np.sum((pose.apply(b) - a) ** 2, axis=1) < tolerance**2
     count = int(np.count_nonzero(agree))
     return (pose, count) if count >= MIN_VOTES else None
 
 
-def _residuals(
-    turns: Float64Array,
-    middle_a: Float64Array,
-    middle_b: Float64Array,
-    a: Float64Array,
-    b: Float64Array,
-) -> Float64Array:
-    """Return (K, M) distances of matches under K motions, each by its turn and a pair of points."""
-    cosine, sine = np.cos(turns)[:, None], np.sin(turns)[:, None]
-    x = b[None, :, 0] - middle_b[:, :1]
-    y = b[None, :, 1] - middle_b[:, 1:]
-    away_x = cosine * x - sine * y + middle_a[:, :1] - a[None, :, 0]
-    away_y = sine * x + cosine * y + middle_a[:, 1:] - a[None, :, 1]
-    return np.hypot(away_x, away_y)
+@lru_cache(maxsize=256)
+def _pairs(count: int) -> tuple[IntpArray, IntpArray]:
+    """Return the numbers of every two of some matches, of which there are at most a few dozen."""
+    first, second = np.triu_indices(count, 1)
+    return first, second
