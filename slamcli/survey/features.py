@@ -74,7 +74,7 @@ def survey_features(gray: UInt8Array, mask: UInt8Array | None = None) -> SurveyF
         0 where nothing was seen.
     """
     height, width = gray.shape
-    small, allowed = _reduced(gray, mask)
+    small, allowed = reduced(gray, mask)
     sift = cv2.SIFT.create(
         nfeatures=4 * _MAX_POINTS,
         contrastThreshold=_CONTRAST_THRESHOLD,
@@ -96,7 +96,8 @@ def survey_features(gray: UInt8Array, mask: UInt8Array | None = None) -> SurveyF
     )
 
 
-def _reduced(gray: UInt8Array, mask: UInt8Array | None) -> tuple[UInt8Array, UInt8Array | None]:
+def reduced(gray: UInt8Array, mask: UInt8Array | None) -> tuple[UInt8Array, UInt8Array | None]:
+    """Return a picture and its mask as points are detected in them, of not too many pixels."""
     height, width = gray.shape
     scale = (_MAX_PIXELS / (width * height)) ** 0.5
     if scale >= 1.0:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -17,6 +17,7 @@ from slamcli.survey.in_order import InOrder
 from slamcli.survey.lens import Lens, Mount
 from slamcli.survey.network import connected, first_states, rescaled
 from slamcli.survey.pairs import Pair, coarse_votes, find_pair
+from slamcli.survey.slanted import VIEWS, slanted_pairs
 from slamcli.survey.uncertainty import learned_mount
 
 # Rounds of matching what the poses predict to overlap, of leaving out contradicted pairs, and of
@@ -25,6 +26,8 @@ _OVERLAP_ROUNDS, _OUTLIER_ROUNDS, _LEARNING_ROUNDS = 2, 4, 4
 # A pair is contradicted by the others when its median residual is this many times the pairs' own
 # median, and this share of the picture's longer side.
 _OUTLIER_FACTOR, _OUTLIER_SHARE = 5.0, 0.008
+# Frames with fewer points are not looked at again from a slant.
+_MIN_POINTS = 100
 # The focal length is estimated, with a mount so many times looser, where the pairs' median residual
 # is then at most this many times that of a homography for each pair, and was before or falls to
 # this share [benchmarks/real_sets.py: 1.5 to 2.5 times over seabeds with relief, where it would be
@@ -32,6 +35,8 @@ _OUTLIER_FACTOR, _OUTLIER_SHARE = 5.0, 0.008
 # tests/survey/test_survey.py: photos tilted by 23 degrees, 0.25 times as much as before].
 _MAX_EXPLAINED_FACTOR, _MAX_FALLEN_SHARE, _LOOSER = 1.4, 0.75, 3.0
 _FIRST_MOUNT, _LOOSE_MOUNT = Mount(0.0, 0.3), Mount(0.005, 0.3)
+# The features of tilted views of a frame, by its number.
+Slanted = Callable[[int], Sequence[SurveyFeatures]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +73,7 @@ def survey(
     in_order: InOrder = map,
     *,
     level: bool = False,
+    slanted: Slanted | None = None,
 ) -> Survey:
     """Return the maps that frames connect to.
 
@@ -81,6 +87,8 @@ def survey(
         Like `map`; may work ahead.
     level : bool
         The camera does not tilt, as on a gimbal.
+    slanted : callable or None
+        Of a frame that fits no other: features of tilted views of it, see `slanted`.
     """
     frames = len(features)
     compared = candidates.compared(frames)
@@ -104,7 +112,33 @@ def survey(
         following = candidates.untried(predicted, tried)
         if not following:
             break
+    if slanted is not None:
+        new = _slanted_pairs(maps, features, slanted, in_order)
+        if new:
+            maps, off = _without_false([*pairs, *new], features, lens, level=level)
+            contradicted += off
     return Survey(tuple(maps), tuple(contradicted), tuple(rejected))
+
+
+def _slanted_pairs(
+    maps: Sequence[SurveyMap],
+    features: Sequence[SurveyFeatures],
+    slanted: Slanted,
+    in_order: InOrder,
+) -> list[Pair]:
+    """Return pairs of frames that are in no map, by tilted views of them.
+
+    Of so few frames that it takes at most about as long as all frames took to describe.
+    """
+    placed = {frame for one in maps for frame in one.frames}
+    left = [n for n, one in enumerate(features) if n not in placed and len(one) >= _MIN_POINTS]
+    if not maps or len(left) > -(-len(features) // VIEWS):
+        return []
+
+    def found(frame: int) -> list[Pair]:
+        return slanted_pairs(frame, slanted(frame), features)
+
+    return [pair for some in in_order(found, left) for pair in some]
 
 
 def _votes(features: Sequence[SurveyFeatures], numbers: NumberPair) -> int:

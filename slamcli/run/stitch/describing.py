@@ -14,6 +14,7 @@ from slamcli.io.images.canvas import canvas_scale
 from slamcli.run.session.session import Session
 from slamcli.survey import SurveyFeatures, survey_features
 from slamcli.survey.ideal_picture import IdealPicture
+from slamcli.survey.slanted import slanted_features
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +38,15 @@ def describe_file(file: FrameFile, ideal: IdealPicture | None = None) -> Describ
             return Described(None, "of another size than the lens is known for", frame.digest)
         image, mask = ideal.of(image, mask)
     return Described(survey_features(image, mask), digest=frame.digest)
+
+
+def describe_slanted(file: FrameFile) -> list[SurveyFeatures]:
+    """Return the features of tilted views of a frame, on its canvas; none if it cannot be read."""
+    try:
+        frame = read_frame(file, gray=True)
+    except FrameError:
+        return []
+    return slanted_features(frame.image, frame.mask)
 
 
 def describe_frames(

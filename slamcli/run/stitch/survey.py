@@ -16,7 +16,7 @@ from slamcli.io.frames import FrameFile
 from slamcli.io.images.canvas import common_canvas
 from slamcli.io.toml import Scalar
 from slamcli.run.session.session import Session
-from slamcli.run.stitch.describing import Described, describe_file, on_canvas
+from slamcli.run.stitch.describing import Described, describe_file, describe_slanted, on_canvas
 from slamcli.run.stitch.drive import Drive, SurveyFacts
 from slamcli.run.stitch.focal_length import noted_focal_pixels
 from slamcli.run.stitch.survey_records import records
@@ -133,9 +133,10 @@ def locate_survey(
     features = [on_canvas(one, canvas) for one in described]
     known = drive.intrinsics
     lens = _lens(files, canvas) if known is None else known_lens(known)
-    found = survey(
-        features, lens, partial(session.stage, "comparing frames"), level=drive.options.level
-    )
+    stage = partial(session.stage, "comparing frames")
+    # The pictures of a known lens are described without its distortion, and are not read again.
+    slanted = None if known is not None else lambda number: describe_slanted(files[number])
+    found = survey(features, lens, stage, level=drive.options.level, slanted=slanted)
     camera = _camera(canvas, found) if known is None else _with_lens(known)
     return _surveyed(found, files, described, drive, camera)
 
