@@ -9,7 +9,7 @@ import numpy as np
 
 from slamcli.core.geometry import Pose2, wrap_angle
 from slamcli.core.records import Link, PoseEstimate, PreparedFrame
-from slamcli.mapping.backend.contradictions import links_to_leave_out
+from slamcli.mapping.backend.contradictions import links_to_leave_out, without_unlikely
 from slamcli.mapping.backend.optimizer import CONTRADICTED, BatchOptimizer, InitialPoses
 from slamcli.mapping.backend.pose_graph import PoseGraph, lost, most_certain, tracked
 from slamcli.mapping.backend.sensors import Sensors
@@ -85,7 +85,11 @@ class Backend:
         self.graph.add_links(links)
 
     def place(self, prepared: PreparedFrame, links: Sequence[Link]) -> PoseEstimate:
-        """Insert a frame by the most certain of its links; links to another fragment join both."""
+        """Insert a frame by the most certain of its links; links to another fragment join both.
+
+        Links that are likely to be wrong are left out where another one places the frame.
+        """
+        links = without_unlikely(links)
         odom = self._odom_after(prepared, most_certain(links))
         predicted = self.graph.predict_pose(prepared, links)
         self.graph.set_estimate(replace(predicted, odom_from_robot=odom))

@@ -2,7 +2,8 @@
 
 After a solution some links are off, as the others contradict them. Where the others are links that
 alone hold a part of the map (bridges of its graph), nothing decides which of both is wrong but
-their scores; and where these are alike, neither may be used.
+their scores; and where these are alike, neither may be used. Before it, a frame's links of a small
+score are left out where another one places the frame.
 """
 
 from __future__ import annotations
@@ -19,9 +20,15 @@ _CLEAR_ODDS_RATIO = 10.0
 # Scores nearer to certainty than this are not told apart.
 _MIN_WRONG_SHARE = 1e-3
 _MIN_TURN_RADIANS = 0.02
-# A single link of a smaller score does not join two parts of a map
-# [guarded by tests/mapping/backend/test_contradictions.py].
+# A single link of a smaller score does not join two parts of a map, nor is it used for a frame that
+# another one places [guarded by tests/mapping/backend/test_contradictions.py;
+# benchmarks/robustness.py, rocking on planks: a second link of 0.59 is 25 mm off].
 MIN_JOINING_SCORE = 0.9
+
+
+def without_unlikely(links: Sequence[Link]) -> Sequence[Link]:
+    """Return a frame's links without those of a small score, unless all of them have one."""
+    return [link for link in links if link.score >= MIN_JOINING_SCORE] or links
 
 
 def links_to_leave_out(

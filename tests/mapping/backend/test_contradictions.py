@@ -135,3 +135,12 @@ def test_small_differences_between_links_leave_nothing_out() -> None:
     backend = solved(10, links)
     assert backend.graph[5].status == "tracked"
     assert off_metres(backend, range(10)) < 0.006
+
+
+def test_an_unlikely_link_is_not_used_for_a_frame_that_another_one_places() -> None:
+    steps = [link(0, 1), link(0, 2, WRONG, score=0.6), link(1, 2)]
+    backend = solved(3, steps)
+    assert [(one.a, one.b) for one in backend.graph.links] == [(0, 1), (1, 2)]
+    assert off_metres(backend, range(3)) < 1e-9
+    alone = solved(2, [link(0, 1, score=0.6)])
+    assert [(one.a, one.b) for one in alone.graph.links] == [(0, 1)]
