@@ -261,15 +261,24 @@ def _with_focal(bundle: Bundle, pairs: Sequence[Pair], members: Sequence[int]) -
     mount, prior = bundle.mount, bundle.lens.prior
     if prior is None or prior.focal_sigma == 0.0 or mount.tilt_sigma == 0.0:
         return bundle
-    loose = replace(mount, tilt_sigma=_LOOSER * mount.tilt_sigma)
-    states = rescaled(bundle.states)
-    found = adjust(pairs, members, states, bundle.lens, loose, lens_free="all")
-    before, after = (float(np.median(one.pair_pixels)) for one in (bundle, found))
     limit = _MAX_EXPLAINED_FACTOR * float(np.median([pair.median_pixels for pair in pairs]))
-    if after > limit or (before > limit and after > _MAX_FALLEN_SHARE * before):
-        return bundle
+    before = float(np.median(bundle.pair_pixels))
+    limit = limit if before <= limit else min(limit, _MAX_FALLEN_SHARE * before)
+
+    def freed(start: Bundle, mount: Mount) -> tuple[Bundle, bool]:
+        states = rescaled(start.states)
+        found = adjust(pairs, members, states, start.lens, mount, lens_free="all")
+        return found, float(np.median(found.pair_pixels)) <= limit
+
+    found, explained = freed(bundle, replace(mount, tilt_sigma=_LOOSER * mount.tilt_sigma))
     longer = found.lens.focal_pixels / bundle.lens.focal_pixels
     mount = replace(mount, tilt_sigma=longer * mount.tilt_sigma)
+    # How freely the camera moves was learned with a focal length that may be far off.
+    for _ in range(0 if explained else _LEARNING_ROUNDS):
+        mount = learned_mount(found)
+        found, explained = freed(found, mount)
+    if not explained:
+        return bundle
     return adjust(pairs, members, rescaled(found.states), found.lens, mount)
 
 
