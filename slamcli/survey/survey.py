@@ -265,19 +265,24 @@ def _with_focal(bundle: Bundle, pairs: Sequence[Pair], members: Sequence[int]) -
     before = float(np.median(bundle.pair_pixels))
     limit = limit if before <= limit else min(limit, _MAX_FALLEN_SHARE * before)
 
-    def freed(start: Bundle, mount: Mount) -> tuple[Bundle, bool]:
+    def freed(start: Bundle, mount: Mount) -> Bundle:
         states = rescaled(start.states)
-        found = adjust(pairs, members, states, start.lens, mount, lens_free="all")
-        return found, float(np.median(found.pair_pixels)) <= limit
+        return adjust(pairs, members, states, start.lens, mount, lens_free="all")
 
-    found, explained = freed(bundle, replace(mount, tilt_sigma=_LOOSER * mount.tilt_sigma))
+    def explained(one: Bundle) -> bool:
+        return float(np.median(one.pair_pixels)) <= limit
+
+    found = freed(bundle, replace(mount, tilt_sigma=_LOOSER * mount.tilt_sigma))
     longer = found.lens.focal_pixels / bundle.lens.focal_pixels
     mount = replace(mount, tilt_sigma=longer * mount.tilt_sigma)
+    done = adjust(pairs, members, rescaled(found.states), found.lens, mount)
+    if explained(found) and explained(done):
+        return done
     # How freely the camera moves was learned with a focal length that may be far off.
-    for _ in range(0 if explained else _LEARNING_ROUNDS):
+    for _ in range(_LEARNING_ROUNDS):
         mount = learned_mount(found)
-        found, explained = freed(found, mount)
-    if not explained:
+        found = freed(found, mount)
+    if not explained(found):
         return bundle
     return adjust(pairs, members, rescaled(found.states), found.lens, mount)
 
