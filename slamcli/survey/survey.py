@@ -279,12 +279,13 @@ def _with_focal(bundle: Bundle, pairs: Sequence[Pair], members: Sequence[int]) -
     if explained(found) and explained(done):
         return done
     # How freely the camera moves was learned with a focal length that may be far off.
+    first = explained(found)
     for _ in range(_LEARNING_ROUNDS):
         mount = learned_mount(found)
         found = freed(found, mount)
-    if not explained(found):
-        return bundle
-    return adjust(pairs, members, rescaled(found.states), found.lens, mount)
+    if explained(found) and float(np.median(found.pair_pixels)) <= _MAX_FALLEN_SHARE * before:
+        return adjust(pairs, members, rescaled(found.states), found.lens, mount)
+    return done if first else bundle
 
 
 def _outliers(bundle: Bundle, pairs: Sequence[Pair]) -> list[Pair]:
