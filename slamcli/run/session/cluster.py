@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import logging
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import cv2
 
@@ -49,6 +52,9 @@ class Cluster(Executor):
         self._address = address
         self._executor = client.get_executor(pure=False, retries=_MAX_DEATHS)
         self._kept: dict[Callable[..., Any], Any] = {}
+        self._submitted: WeakKeyDictionary[Future[Any], Callable[[], Future[Any]]] = (
+            WeakKeyDictionary()
+        )
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Schedule ``fn(*args)``; `fn` is sent only once.
@@ -64,6 +70,7 @@ class Cluster(Executor):
             # As the result of a task, not as data: a worker that dies with it is no loss.
             self._kept[fn] = self._client.submit(_same, _Wrapped(fn), pure=False)
         future: Future[Any] = self._executor.submit(_call, self._kept[fn], *args, **kwargs)
+        self._submitted[future] = partial(self.submit, fn, *args, **kwargs)
         return future
 
     def result(self, future: Future[Result]) -> Result:
@@ -89,6 +96,10 @@ class Cluster(Executor):
             except TimeoutError:
                 if future.done():
                     raise
+            except Exception as error:
+                if not _lost_on_arrival(error):
+                    raise
+                future = self._submitted[future]()
             workers = self._count_workers()
             if workers:
                 waits_since = time.monotonic()
@@ -160,6 +171,14 @@ def _silence() -> None:
     """Keep the logs of Dask off the terminal, also those that it writes after its end."""
     for name in _LOGGERS:
         logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
+def _lost_on_arrival(error: Exception) -> bool:
+    """Return whether a result's worker died between its arrival and its being noted as finished.
+
+    Dask takes such a result for an error, and fails when it unpacks it.
+    """
+    return traceback.extract_tb(error.__traceback__)[-1].name == "_cascade_future"
 
 
 class _Wrapped:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import re
@@ -10,13 +11,16 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command_line import contents, slam
 
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import InputError
+from slamcli.run.session.cluster import Cluster
 from slamcli.run.session.session import Session
 from slamcli.run.stitch import stitch
 from slamcli.run.stitch.options import StitchOptions
@@ -33,6 +37,56 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = slam("simulate", folder, *arguments)
     assert done.exit_code == 0, done.output
     return folder
+
+
+class _Scripted:
+    """A Dask client and executor: the first result's worker is dead by the time it arrives."""
+
+    status = "running"
+
+    def __init__(self) -> None:
+        self.submitted = 0
+
+    def get_executor(self, **_: Any) -> _Scripted:
+        return self
+
+    def submit(self, _: Any, *__: Any, **___: Any) -> Future[str]:
+        self.submitted += 1
+        future: Future[str] = Future()
+        # The function itself is the first that is submitted.
+        statuses = {2: "lost"}
+        arrived = _Arrived(statuses.get(self.submitted, "finished"))
+        asyncio.run(self.cascade(arrived, future))
+        return future
+
+    @staticmethod
+    async def cascade(arrived: _Arrived, future: Future[str]) -> None:
+        await distributed.cfexecutor._cascade_future(arrived, future)
+
+    def sync(self, *_: Any, **__: Any) -> dict[str, list[str]]:
+        return {"workers": ["one"]}
+
+    @property
+    def scheduler(self) -> _Scripted:
+        return self
+
+    identity = None
+
+
+class _Arrived:
+    def __init__(self, status: str) -> None:
+        self.status = status
+
+    async def _result(self, *, raiseit: bool) -> str:
+        assert not raiseit
+        return "a frame"
+
+
+def test_a_result_whose_worker_dies_as_it_arrives_is_computed_anew() -> None:
+    client = _Scripted()
+    cluster = Cluster(client, "tcp://nowhere:1")
+    assert cluster.result(cluster.submit(str)) == "a frame"
+    assert client.submitted == 3
 
 
 @pytest.mark.slow
