@@ -20,9 +20,6 @@ _OVERLAP_STEP = 8
 # less than half of the frame's own variance, as pixels are interpolated, and a patch with as much
 # noise as pattern still agrees with itself [guarded by benchmarks/robustness.py: noise].
 _PATCH_PIXELS = 16
-# Motions are compared by every other row: rows so near look alike, and half of them cost half
-# [benchmarks/streaming.py: a tenth of a frame's time].
-_ROW_STEP = 2
 _MIN_INFORMATIVE_GRAY = 3.0
 _INFORMATIVE_NOISE_SHARE = 0.95
 _MIN_PATCHES = 12
@@ -81,14 +78,14 @@ def agreement(a: PyramidLevel, b: PyramidLevel, view_a_from_view_b: Float64Array
     view_a_from_view_b : (3, 3) float64
         Metres to metres: a motion, or a `PhotometricFit`'s.
     """
-    moved, both = _warped_onto(a, b, view_a_from_view_b, row_step=_ROW_STEP)
-    smaller = min(int(np.count_nonzero(one.mask[::_ROW_STEP] == 255)) for one in (a, b))
+    moved, both = _warped_onto(a, b, view_a_from_view_b)
+    smaller = min(int(np.count_nonzero(one.mask == 255)) for one in (a, b))
     shared = int(np.count_nonzero(both))
-    if shared < _MIN_SHARED_PIXELS // _ROW_STEP:
+    if shared < _MIN_SHARED_PIXELS:
         return Agreement(math.nan, shared / max(1, smaller), math.nan)
-    image_a = a.image[::_ROW_STEP].astype(np.float32)
+    image_a = a.image.astype(np.float32)
     correlation = _correlation(image_a, moved, both)
-    shape = _PATCH_PIXELS // _ROW_STEP, _PATCH_PIXELS
+    shape = _PATCH_PIXELS, _PATCH_PIXELS
     patches, informative = _patch_correlations(image_a, moved, both, shape, _min_deviation(a, b))
     confirmed = math.nan
     if np.count_nonzero(informative) >= _MIN_PATCHES:
@@ -187,11 +184,11 @@ def keep_agreeing_points(
 
 
 def _warped_onto(
-    a: PyramidLevel, b: PyramidLevel, view_a_from_view_b: Float64Array, *, row_step: int = 1
+    a: PyramidLevel, b: PyramidLevel, view_a_from_view_b: Float64Array
 ) -> tuple[Float32Array, BoolArray]:
     """Return b's picture warped onto a's pixels, and where both see the floor."""
-    moved, seen = warp_onto(a, b, view_a_from_view_b, b.image, b.mask, row_step=row_step)
-    return moved, seen & (a.mask[::row_step] == 255)
+    moved, seen = warp_onto(a, b, view_a_from_view_b, b.image, b.mask)
+    return moved, seen & (a.mask == 255)
 
 
 def _min_deviation(a: PyramidLevel, b: PyramidLevel, noise_share: float = 1.0) -> float:

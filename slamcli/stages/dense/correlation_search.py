@@ -30,9 +30,6 @@ _HIGHEST_CORRELATION = 0.999
 _MIN_PIXELS = 64.0
 # Where no pixels are shared, the transforms leave rounding errors.
 _NO_PIXELS = np.float32(1e-3)
-# The evidence for one motion is taken from every other row: rows so near look alike
-# [benchmarks/streaming.py].
-_EVIDENCE_ROW_STEP = 2
 # Most cameras' views have one mask.
 _CACHED_MASKS = 4
 # Peaks nearer than this to a higher one, in pixels and rotation steps, belong to it.
@@ -207,20 +204,16 @@ def evidence(
     view_a_from_view_b : (3, 3) float64
         Metres to metres: that motion, or a `PhotometricFit`'s.
     """
-    moved, inside = warp_onto(
-        a, b, view_a_from_view_b, b.normalised, b.inside, row_step=_EVIDENCE_ROW_STEP
-    )
-    values_a = a.normalised[::_EVIDENCE_ROW_STEP]
-    weight_a = a.weight[::_EVIDENCE_ROW_STEP]
-    weight = cv2.multiply(weight_a, inside.view(np.uint8), dtype=cv2.CV_32F)
-    pixels = _EVIDENCE_ROW_STEP * _total(weight)
+    moved, inside = warp_onto(a, b, view_a_from_view_b, b.normalised, b.inside)
+    weight = cv2.multiply(a.weight, inside.view(np.uint8), dtype=cv2.CV_32F)
+    pixels = _total(weight)
     seen = float(min(cv2.countNonZero(a.inside), cv2.countNonZero(b.inside)))
     if pixels < _MIN_PIXELS:
         return Candidate(a_from_b, 0.0, pixels / max(seen, 1.0), 0.0)
-    weighted_a, weighted_b = cv2.multiply(weight, values_a), cv2.multiply(weight, moved)
+    weighted_a, weighted_b = cv2.multiply(weight, a.normalised), cv2.multiply(weight, moved)
     product = _total(cv2.multiply(weighted_a, moved))
-    prior = _CONTRAST_PRIOR * pixels / _EVIDENCE_ROW_STEP
-    norm_a = _total(cv2.multiply(weighted_a, values_a)) + prior * a.energy
+    prior = _CONTRAST_PRIOR * pixels
+    norm_a = _total(cv2.multiply(weighted_a, a.normalised)) + prior * a.energy
     norm_b = _total(cv2.multiply(weighted_b, moved)) + prior * b.energy
     value = product / math.sqrt(norm_a * norm_b) if norm_a * norm_b > 0 else 0.0
     return Candidate(a_from_b, value, pixels / seen, float(_evidence(value, pixels)))

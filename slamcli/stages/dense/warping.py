@@ -21,8 +21,6 @@ def warp_onto(
     view_a_from_view_b: Float64Array,
     picture: UInt8Array | Float32Array,
     mask: UInt8Array,
-    *,
-    row_step: int = 1,
 ) -> tuple[Float32Array, BoolArray]:
     """Return a picture of level b on the pixels of level a, and where all of a pixel is seen.
 
@@ -37,12 +35,10 @@ def warp_onto(
         On the pixels of b.
     mask : (h, w) uint8
         255 where it is seen.
-    row_step : int
-        The first of so many rows of a is returned, without those between.
     """
     b_from_a_pixel = invert(view_a_from_view_b) @ invert(a.pixel_from_metres)
-    b_pixel_from_a_pixel = b.pixel_from_metres @ b_from_a_pixel @ np.diag([1.0, row_step, 1.0])
-    size = (a.image.shape[1], -(-a.image.shape[0] // row_step))
+    b_pixel_from_a_pixel = b.pixel_from_metres @ b_from_a_pixel
+    size = (a.image.shape[1], a.image.shape[0])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     # One warp of floats is faster than two of bytes.
     marked = np.full(mask.shape, _NOT_SEEN)
