@@ -13,6 +13,7 @@ from itertools import groupby, islice
 
 import numpy as np
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
@@ -233,7 +234,8 @@ class LoopCloser:
             return None
         prior = dense.MotionPrior(candidate.expected, candidate.covariance)
         expected = self._near(candidate.expected, candidate.guess)
-        if not expected and self._contradicts(prior, candidate.guess):
+        # All that a registration about the guess may find would contradict the poses.
+        if not expected and contradicts(prior, candidate.guess, self._searched_covariance()):
             self._failed[pair] = candidate.guess
             return None
         try:
@@ -248,17 +250,19 @@ class LoopCloser:
         except FrameError:  # the keyframe's pictures, from a damaged map
             self._failed[pair] = candidate.guess
             return None
-        if result is None or result.link is None or contradicts(prior, result.link):
+        if (
+            result is None
+            or result.link is None
+            or contradicts(prior, result.link.a_from_b, result.link.covariance)
+        ):
             self._failed[pair] = candidate.guess
             return None
         return result.link
 
-    def _contradicts(self, prior: dense.MotionPrior, guess: Pose2) -> bool:
-        """Return whether all that a registration about a guess may find contradicts the poses."""
+    def _searched_covariance(self) -> Float64Array:
+        """Return (3, 3): how far from a guess a registration searches, as a covariance."""
         sigma_metres = self._proposals.max_sigma_metres
-        around = np.diag([sigma_metres, sigma_metres, _SAME_RADIANS]) ** 2
-        apart = squared_mahalanobis(prior.a_from_b, prior.covariance + around, guess)
-        return apart > _MAX_SQUARED_MAHALANOBIS
+        return np.diag([sigma_metres, sigma_metres, _SAME_RADIANS]) ** 2
 
     def _near(self, first: Pose2, second: Pose2) -> bool:
         """Return whether registrations about two guesses search the same motions."""
@@ -304,8 +308,15 @@ class _LinkedKeyframes:
         )
 
 
-def contradicts(prior: dense.MotionPrior, link: Link) -> bool:
-    """Return whether a measured motion is too far from that which the poses predict."""
-    covariance = prior.covariance + link.covariance
-    apart = squared_mahalanobis(prior.a_from_b, covariance, link.a_from_b)
+def contradicts(prior: dense.MotionPrior, a_from_b: Pose2, covariance: Float64Array) -> bool:
+    """Return whether a motion is too far from that which the poses predict.
+
+    Parameters
+    ----------
+    prior : MotionPrior
+    a_from_b : Pose2
+    covariance : (3, 3) float64
+        Of that motion, in b's own axes.
+    """
+    apart = squared_mahalanobis(prior.a_from_b, prior.covariance + covariance, a_from_b)
     return apart > _MAX_SQUARED_MAHALANOBIS

@@ -149,7 +149,8 @@ class LostFrames:
         result = camera_tilt.without_unusual(result, tilts_radians, self._options)
         if result.link is None:
             return result
-        if is_mostly_confirmed(result) and not contradicts(prior, result.link):
+        link = result.link
+        if is_mostly_confirmed(result) and not contradicts(prior, link.a_from_b, link.covariance):
             return result
         reason = f"the frames before and after contradict the fit (to {result.keyframe.name})"
         return replace(result, link=None, reason=reason)

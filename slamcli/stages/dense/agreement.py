@@ -79,14 +79,15 @@ def agreement(a: PyramidLevel, b: PyramidLevel, view_a_from_view_b: Float64Array
         Metres to metres: a motion, or a `PhotometricFit`'s.
     """
     moved, both = _warped_onto(a, b, view_a_from_view_b)
-    smaller = min(int(np.count_nonzero(one.mask == 255)) for one in (a, b))
+    smaller = int(min(np.count_nonzero(a.mask == 255), np.count_nonzero(b.mask == 255)))
     shared = int(np.count_nonzero(both))
     if shared < _MIN_SHARED_PIXELS:
         return Agreement(math.nan, shared / max(1, smaller), math.nan)
     image_a = a.image.astype(np.float32)
     correlation = _correlation(image_a, moved, both)
-    shape = _PATCH_PIXELS, _PATCH_PIXELS
-    patches, informative = _patch_correlations(image_a, moved, both, shape, _min_deviation(a, b))
+    patches, informative = _patch_correlations(
+        image_a, moved, both, _PATCH_PIXELS, _min_deviation(a, b)
+    )
     confirmed = math.nan
     if np.count_nonzero(informative) >= _MIN_PATCHES:
         agree = patches > _PATCH_CORRELATION
@@ -128,12 +129,11 @@ def patch_votes(
         The second of each pyramid.
     view_a_from_view_b, rival : (3, 3) float64
     """
-    shape = _PREFERENCE_PATCH_PIXELS, _PREFERENCE_PATCH_PIXELS
-    least = _min_deviation(a, b, _HALVED_NOISE)
+    side, least = _PREFERENCE_PATCH_PIXELS, _min_deviation(a, b, _HALVED_NOISE)
     warped = _warped_onto(a, b, view_a_from_view_b)
     image_a = a.image.astype(np.float32)
-    first, informative = _patch_correlations(image_a, *warped, shape, least)
-    second, informative_too = _patch_correlations(image_a, *_warped_onto(a, b, rival), shape, least)
+    first, informative = _patch_correlations(image_a, *warped, side, least)
+    second, informative_too = _patch_correlations(image_a, *_warped_onto(a, b, rival), side, least)
     both = informative & informative_too
     count = np.count_nonzero(both)
     if count < _MIN_PATCHES:
@@ -168,7 +168,7 @@ def keep_agreeing_points(
     patches, informative = _patch_correlations(
         finest.image.astype(np.float32),
         *_warped_onto(finest, b, view_a_from_view_b),
-        (_PATCH_PIXELS, _PATCH_PIXELS),
+        _PATCH_PIXELS,
         _min_deviation(finest, b),
     )
     rows, columns = (side // _PATCH_PIXELS for side in finest.image.shape)
@@ -204,29 +204,25 @@ def _patch_correlations(
     image_a: Float32Array,
     image_b: Float32Array,
     both: BoolArray,
-    shape: tuple[int, int],
+    side: int,
     min_deviation_gray: float,
 ) -> tuple[Float32Array, BoolArray]:
-    """Return each patch's own correlation, and whether it is whole and informative.
-
-    Patches have `shape`, rows and columns.
-    """
-    height, width = shape
-    rows, columns = both.shape[0] // height, both.shape[1] // width
+    """Return each patch's own correlation, and whether it is whole and informative."""
+    rows, columns = (length // side for length in both.shape)
     first, second = (
-        picture[: rows * height, : columns * width]
-        .reshape(rows, height, columns, width)
+        picture[: rows * side, : columns * side]
+        .reshape(rows, side, columns, side)
         .transpose(0, 2, 1, 3)
         for picture in (image_a, image_b)
     )
     # One axis after the other, rows first: several times as fast as both at once.
-    whole = both[: rows * height, : columns * width].reshape(rows, height, columns * width)
-    whole = np.logical_and.reduce(whole, axis=1).reshape(rows, columns, width).all(axis=2)
+    whole = both[: rows * side, : columns * side].reshape(rows, side, columns * side)
+    whole = np.logical_and.reduce(whole, axis=1).reshape(rows, columns, side).all(axis=2)
     correlation = np.zeros((rows, columns), np.float32)
     informative = np.zeros((rows, columns), np.bool_)
     # Sums as products with a vector: numpy's own along an axis are several times as slow.
-    mean = np.full(height * width, 1.0 / (height * width), np.float32)
-    patch_a, patch_b = (one[whole].reshape(-1, height * width) for one in (first, second))
+    mean = np.full(side**2, 1.0 / side**2, np.float32)
+    patch_a, patch_b = first[whole].reshape(-1, side**2), second[whole].reshape(-1, side**2)
     patch_a -= (patch_a @ mean)[:, None]
     patch_b -= (patch_b @ mean)[:, None]
     energy_a, energy_b, product = (
