@@ -405,6 +405,34 @@ def test_the_plan_names_every_tile_that_a_frame_sees() -> None:
         assert grid.y_max > 0.1
 
 
+def test_floor_driven_over_ten_times_is_painted_from_few_of_its_views() -> None:
+    calibration, generator = forward_camera(), np.random.default_rng(0)
+    poses = [
+        Pose2(0.04 * place, 0.0, 0.0) @ Pose2(*generator.normal(0.0, (0.004, 0.004, 0.01)))
+        for _ in range(10)
+        for place in range(30)
+    ]
+    posed_frames = [PosedFrame(number, pose, calibration) for number, pose in enumerate(poses)]
+    plan = Painter(calibration, SCALE).plan(posed_frames)
+    chosen = {number for _, numbers in plan for number in numbers}
+    assert len(chosen) < 0.45 * len(poses)
+    corners = np.array([pose.apply(footprint_hull(calibration)) for pose in poses]).reshape(-1, 2)
+    points = generator.uniform(corners.min(axis=0), corners.max(axis=0), (4000, 2))
+    best, views = np.zeros((2, len(points))), np.zeros((2, len(points)))
+    for number, pose in enumerate(poses):
+        floor = pose.inverse().apply(points)
+        _, seen = project_floor(calibration, floor)
+        resolution = 1.0 / np.sqrt(floor_sampling(calibration, floor[seen]).prod(axis=1))
+        for kind in (0, 1) if number in chosen else (0,):
+            best[kind, seen] = np.maximum(best[kind, seen], resolution)
+            views[kind, seen] += 1
+    seen = views[0] > 0
+    assert np.mean(views[1, seen] > 0) > 0.996
+    both = views[1] > 0
+    assert np.quantile(best[1, both] / best[0, both], 0.01) > 0.9
+    assert np.mean(views[1, views[0] >= 40] >= 5) > 0.99
+
+
 def test_a_line_is_an_obstacle_and_a_field_is_not() -> None:
     image = np.full((200, 200, 3), 40, np.uint8)
     image[95:100] = 230

@@ -54,9 +54,10 @@ def paint_scene(
     OutputError
     """
     store = TileStore(folder, tiles.TILE_PIXELS, options.layers)
-    dark = set[int]()
+    dark, whole = set[int](), painter.plan(scene.shots)
     if options.paint.gain:
-        light, dark = _exposure(scene, session)
+        painted = sorted(set(chain.from_iterable(numbers for _, numbers in whole)))
+        light, dark = _exposure(scene, painted, session)
         painter = Painter(
             scene.calibration,
             painter.metres_per_pixel,
@@ -64,11 +65,7 @@ def paint_scene(
             light,
             evidence=painter.evidence,
         )
-    plan = [
-        item
-        for item in painter.plan(scene.shots)
-        if _wanted(item[0], painter.metres_per_pixel, options)
-    ]
+    plan = [item for item in whole if _wanted(item[0], painter.metres_per_pixel, options)]
     if not plan:
         raise InputError("no frame sees anything of that crop; poses.csv lists where they are")
     workers = session.workers
@@ -137,24 +134,31 @@ def _paint(
     return tile, reader.unread.intersection(numbers)
 
 
-def _exposure(scene: Scene, session: Session) -> tuple[Exposure, set[int]]:
+def _exposure(scene: Scene, painted: Sequence[int], session: Session) -> tuple[Exposure, set[int]]:
     """Return every frame's gain and the vignetting, from floor that several frames show.
 
     And the numbers of the frames that could not be read.
+
+    Parameters
+    ----------
+    painted : sequence of int
+        Numbers of the frames that the map is painted from, which alone are compared.
     """
     hull = footprint_hull(scene.calibration)
     step = exposure.comparison_step(scene.calibration)
     work = partial(_observe, hull, step)
-    observations, unread = [], set[int]()
+    observations, unread = [exposure.no_brightness()] * len(scene.files), set[int]()
     jobs = (
-        (file, shot, scene.thumbnails.take(file))
-        for file, shot in zip(scene.files, scene.shots, strict=True)
+        (scene.files[number], scene.shots[number], scene.thumbnails.take(scene.files[number]))
+        for number in painted
     )
-    for done, one in enumerate(session.ordered(work, jobs), start=1):
+    found = session.ordered(work, jobs)
+    for done, (number, one) in enumerate(zip(painted, found, strict=True), start=1):
         if one is None:
-            unread.add(done - 1)
-        observations.append(exposure.no_brightness() if one is None else one)
-        session.progress("comparing light", done, len(scene.files))
+            unread.add(number)
+        else:
+            observations[number] = one
+        session.progress("comparing light", done, len(painted))
     return exposure.estimate_exposure(observations), unread
 
 

@@ -15,8 +15,7 @@ import numpy as np
 from slamcli.core.arrays import BoolArray, Float64Array, Int32Array, UInt8Array, UInt16Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.footprint import footprint_hull
-from slamcli.core.camera.projection import project_floor
-from slamcli.core.camera.resolution import floor_sampling, resolution_image
+from slamcli.core.camera.resolution import resolution_image
 from slamcli.core.config import PaintOptions
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import FloorEvidence, Frame, PosedFrame, Tile
@@ -26,13 +25,8 @@ from slamcli.stages.mosaic.exposure import Exposure
 from slamcli.stages.mosaic.sampling import Sample, sample_image
 from slamcli.stages.mosaic.source_image import SourceImage
 from slamcli.stages.mosaic.tiles import TileKey
+from slamcli.stages.mosaic.view_selection import select_views
 
-# More views of one spot than this add nothing; the best of them are kept, those that are best at
-# one of 9 by 9 probes in the tile. A tile with few views is not worth the choice
-# [guarded by benchmarks/blends.py and benchmarks/scale.py].
-_MAX_VIEWS = 20
-_FEW_VIEWS = 24
-_PROBES = 9
 # Views of one spot may lie this share of the range apart, by errors of poses and tilt and by bowed
 # floors; the limit bounds what is lost of narrow obstacles [guarded by benchmarks/blends.py].
 _DISPLACED_SHARE, _MAX_REACH_CELLS = 0.015, 4
@@ -92,7 +86,7 @@ class Painter:
         return width * height * 3 * 4 // (12 if self.halves else 3) + width * height
 
     def plan(self, posed_frames: Sequence[PosedFrame]) -> list[tuple[TileKey, list[int]]]:
-        """Return every tile that is seen, with the indices of the posed frames that may see it.
+        """Return every tile that is seen, with the indices of the posed frames that it is made of.
 
         In the order in which the robot first passed, so that few images are needed at a time.
         """
@@ -101,7 +95,7 @@ class Painter:
             outline = posed.map_from_robot.apply(self._hull_of(posed.calibration))
             for key in tiles.tiles_under(outline, self.metres_per_pixel):
                 seen.setdefault(key, []).append(number)
-        return list(seen.items())
+        return select_views(list(seen.items()), posed_frames, self.metres_per_pixel)
 
     def picture(self, frame: Frame, number: int) -> SourceImage:
         """Return a frame's pyramid, with what compensates its exposure.
@@ -143,11 +137,10 @@ class Painter:
         Parameters
         ----------
         numbers : sequence of int
-            Indices of the posed frames that may see the tile, from `plan`.
+            Indices of the posed frames that the tile is made of, from `plan`.
         pictures : function
             From such an index to what `picture` returned for it.
         """
-        chosen = self._choose(key, posed_frames, numbers)
 
         def sample(number: int, grid: Grid, *, smooth: bool) -> Sample:
             posed = posed_frames[number]
@@ -155,10 +148,10 @@ class Painter:
             return sample_image(source, posed.calibration, pose, grid, smooth=smooth)
 
         def read(index: int, window: CellWindow) -> Sample:
-            return sample(chosen[index], self._part(key, window), smooth=True)
+            return sample(numbers[index], self._part(key, window), smooth=True)
 
         grid = tiles.cell_grid(key, self.metres_per_pixel)
-        coarse = [sample(number, grid, smooth=False) for number in chosen]
+        coarse = [sample(number, grid, smooth=False) for number in numbers]
         cells = np.stack([one.image for one in coarse])
         views = Views(cells, np.stack([one.weight for one in coarse]), read)
         shows_floor = views.weights > 0
@@ -169,7 +162,7 @@ class Painter:
         resolution = blended.pixels_per_metre
         if not resolution.any():
             return None
-        count, latest = _history(shows_floor, [posed_frames[number].index for number in chosen])
+        count, latest = _history(shows_floor, [posed_frames[number].index for number in numbers])
         return Tile(
             tiles.tile_grid(key, self.metres_per_pixel),
             blended.image,
@@ -177,7 +170,7 @@ class Painter:
             _obstacles(views, shows_floor),
             np.where(resolution > 0, count, np.uint16(0)),
             np.where(resolution > 0, latest, np.int32(-1)),
-            self._evidence(views, [posed_frames[number] for number in chosen]),
+            self._evidence(views, [posed_frames[number] for number in numbers]),
         )
 
     def _evidence(self, views: Views, posed: Sequence[PosedFrame]) -> FloorEvidence | None:
@@ -221,34 +214,6 @@ class Painter:
         return tiles.tile_grid(key, self.metres_per_pixel).window(
             window.column * side, window.row * side, window.width * side, window.height * side
         )
-
-    def _choose(
-        self, key: TileKey, posed_frames: Sequence[PosedFrame], numbers: Sequence[int]
-    ) -> list[int]:
-        """Return the posed frames that are among the best anywhere in a tile with many."""
-        if len(numbers) <= _FEW_VIEWS:
-            return list(numbers)
-        grid = tiles.tile_grid(key, self.metres_per_pixel)
-        share = np.linspace(0.0, 1.0, _PROBES)
-        x, y = np.meshgrid(
-            grid.x_min + share * (grid.x_max - grid.x_min),
-            grid.y_min + share * (grid.y_max - grid.y_min),
-        )
-        probes = np.column_stack([x.ravel(), y.ravel()])
-        pixels_per_metre = np.zeros((len(numbers), len(probes)))
-        for index, number in enumerate(numbers):
-            posed = posed_frames[number]
-            floor = posed.map_from_robot.inverse().apply(probes)
-            _, seen = project_floor(posed.calibration, floor)
-            sampled = floor_sampling(posed.calibration, floor[seen])
-            pixels_per_metre[index, seen] = 1.0 / np.sqrt(sampled.prod(axis=1))
-        rank = np.argsort(
-            np.argsort(-pixels_per_metre, axis=0, kind="stable"), axis=0, kind="stable"
-        )
-        best = (rank < _MAX_VIEWS) & (pixels_per_metre > 0)
-        # A frame that sees no probe may still see a corner of the tile.
-        kept = np.flatnonzero(best.any(axis=1) | ~pixels_per_metre.any(axis=1))
-        return [numbers[int(index)] for index in kept]
 
 
 def _history(shows_floor: BoolArray, indices: Sequence[int]) -> tuple[UInt16Array, Int32Array]:
