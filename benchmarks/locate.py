@@ -193,11 +193,10 @@ def overlapping(world: World, count: int) -> FloorMap:
     mapper.update(world.take(poses[0], 0))
     floor_map = mapper.floor_map()
     assert floor_map is not None
-    locator = Locator(floor_map)
     keyframes: list[Keyframe] = []
     for number, pose in enumerate(poses):
         frame = Frame(number, str(number), None, world.take(pose, number))
-        keyframes.append(encode_keyframe(locator.prepare(frame)))
+        keyframes.append(encode_keyframe(mapper.prepare(frame)))
     pool = np.concatenate([keyframe.features.descriptors for keyframe in keyframes])
     for number in range(len(poses), count):
         like = keyframes[number % len(poses)]

@@ -26,6 +26,12 @@ from slamcli.stages.place_index import PlaceCandidate, PlaceIndex
 _JPEG_QUALITY = 90
 # A decoded keyframe takes some megabytes. Most cameras' views have one mask.
 _MAX_DECODED, _MAX_MASKS = 16, 4
+# At half the resolution it takes a quarter of that.
+_MAX_HALVED = 64
+# Points of a level that its frames are then aligned with [guarded by benchmarks/locate.py].
+_MAX_HALVED_POINTS = 4000
+# A motion is refined on this many levels at least.
+_MIN_LEVELS = 2
 
 
 def encode_keyframe(prepared: PreparedFrame) -> Keyframe:
@@ -70,6 +76,9 @@ class KeyframeCache:
         self.grid = grid
         masks = lru_cache(maxsize=_MAX_MASKS)(partial(_level_masks, grid))
         self._decoded = lru_cache(maxsize=_MAX_DECODED)(partial(_decode_keyframe, grid, masks))
+        self._halved = lru_cache(maxsize=_MAX_HALVED)(
+            partial(_decode_keyframe, grid, masks, halved=True)
+        )
 
     def __reduce__(self) -> tuple[type[KeyframeCache], tuple[Grid]]:
         return KeyframeCache, (self.grid,)
@@ -83,6 +92,10 @@ class KeyframeCache:
             When its images are not of the grid's views.
         """
         return self._decoded(keyframe)
+
+    def decode_halved(self, keyframe: Keyframe) -> PreparedFrame:
+        """Return a keyframe as `decode` does, at half the resolution."""
+        return self._halved(keyframe)
 
 
 class KeyframeDatabase:
@@ -128,6 +141,10 @@ class KeyframeDatabase:
         """Return a keyframe ready for registration."""
         return self._cache.decode(self._keyframes[index])
 
+    def decode_halved(self, index: int) -> PreparedFrame:
+        """Return a keyframe ready for registration at half the resolution."""
+        return self._cache.decode_halved(self._keyframes[index])
+
     def latest(self, count: int) -> frozenset[int]:
         """Return the latest keyframes."""
         return frozenset(self.order[-count:])
@@ -142,13 +159,27 @@ class KeyframeDatabase:
         return self._number[b] - self._number[a]
 
 
+def can_be_halved(level_masks: Sequence[dense.LevelMask]) -> bool:
+    """Return whether a view of these level masks has levels enough at half its resolution."""
+    return len(level_masks) > _MIN_LEVELS
+
+
 def _decode_keyframe(
-    grid: Grid, masks_of: Callable[[bytes], Sequence[dense.LevelMask]], keyframe: Keyframe
+    grid: Grid,
+    masks_of: Callable[[bytes], Sequence[dense.LevelMask]],
+    keyframe: Keyframe,
+    *,
+    halved: bool = False,
 ) -> PreparedFrame:
     image, level_masks = _decode_image(keyframe.image, grid), masks_of(keyframe.mask)
     if image is None or not level_masks:
         raise FrameError(f"keyframe {keyframe.name}: its images cannot be used")
-    levels = dense.make_levels(View(grid, image, level_masks[0].mask), level_masks)
+    view = View(grid, image, level_masks[0].mask)
+    if halved:
+        coarser = level_masks[1:] if can_be_halved(level_masks) else None
+        levels = dense.make_levels(dense.halved(view), coarser, _MAX_HALVED_POINTS)
+    else:
+        levels = dense.make_levels(view, level_masks)
     features = keyframe.features
     if features.norm == "l2":
         features = replace(features, descriptors=features.descriptors.astype(np.float32))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +17,8 @@ from slamcli.mapping.frame_checks import fault_of_expectation
 from slamcli.mapping.keyframes import KeyframeDatabase
 from slamcli.mapping.locks import ReentrantLock
 from slamcli.mapping.near_keyframes import NearKeyframes
-from slamcli.mapping.preprocessing import Preprocessor
-from slamcli.mapping.relocalization import Relocalizer
+from slamcli.mapping.query_frames import QueryPreprocessor
+from slamcli.mapping.relocalization import Relocalization, Relocalizer
 from slamcli.registration.rivals import is_expected
 from slamcli.stages import covisibility, dense
 
@@ -50,8 +51,8 @@ class Locator:
             metres_per_pixel=floor_map.metres_per_pixel,
             tilt_sigma_degrees=floor_map.tilt_sigma_degrees,
         )
-        self._preprocessor = Preprocessor(floor_map.calibration, options)
-        database = KeyframeDatabase(self._preprocessor.grid, options.matching.seed)
+        self._preprocessor = QueryPreprocessor(floor_map.calibration, options)
+        database = KeyframeDatabase(self.grid, options.matching.seed)
         self._relocalizer = Relocalizer(floor_map.calibration, options, database)
         self._graph = PoseGraph()
         for keyframe in floor_map.keyframes:
@@ -67,7 +68,7 @@ class Locator:
     @property
     def grid(self) -> Grid:
         """Of the views that are compared by their pixels, in the robot frame."""
-        return self._preprocessor.grid
+        return self._preprocessor.full.grid
 
     def locate(
         self,
@@ -117,9 +118,9 @@ class Locator:
         try:
             link = None if near is None else self._link_near(prepared, near, sigma)
             if link is None:
-                assert prepared.features is not None
-                candidates = self._relocalizer.query(prepared.features)
-                found = self._relocalizer.verify(prepared, candidates, self._graph)
+                found = self._find(prepared)
+                if found.link is None and prepared.finer is not None:
+                    found = self._find(prepared.finer.value)
                 if found.link is None:
                     return lost(prepared, found.reason)
                 link = found.link
@@ -127,26 +128,47 @@ class Locator:
         except FAILURES as error:
             return lost(prepared, f"cannot be located: {logged(error)}")
 
+    def _find(self, prepared: PreparedFrame) -> Relocalization:
+        """Return the registration of a frame to the one place of the map that looks like it."""
+        if prepared.features is None:
+            return Relocalization(None, prepared.reason)
+        candidates = self._relocalizer.query(prepared.features)
+        return self._relocalizer.verify(prepared, candidates, self._graph)
+
     def _link_near(
         self, prepared: PreparedFrame, near: Pose2, sigma: tuple[float, float]
     ) -> Link | None:
         """Return the link from a keyframe near an expected pose; None where none is proven."""
         metres, radians = sigma
         covariance = np.diag([metres, metres, radians]) ** 2
-        nearest = self._near.find(near, _MAX_KEYFRAMES, _MIN_OVERLAP)
-        for index, expected in nearest:
+        nearest = [
+            (index, dense.MotionPrior(expected, covariance))
+            for index, expected in self._near.find(near, _MAX_KEYFRAMES, _MIN_OVERLAP)
+        ]
+        link = self._track_near(prepared, nearest)
+        if link is None and prepared.finer is not None:
+            prepared = prepared.finer.value
+            link = self._track_near(prepared, nearest)
+        if link is not None or not nearest or not prepared.levels:
+            return link
+        index, prior = nearest[0]
+        found = self._relocalizer.register_reliably(index, prepared, prior.a_from_b, prior)
+        if found is None or found.link is None:
+            return None
+        return found.link if is_expected(prior, found.link.a_from_b) else None
+
+    def _track_near(
+        self, prepared: PreparedFrame, nearest: Sequence[tuple[int, dense.MotionPrior]]
+    ) -> Link | None:
+        """Return the link from the first of some keyframes that pixels alone prove."""
+        levels = len(prepared.levels)
+        for index, prior in nearest if levels else ():
             # It may be off by more pixels of the fine levels than a refinement on them alone makes
             # good: on all levels 38 of 40 frames are tracked, in place of 21
             # [benchmarks/locate.py: 1 cm and 1 degree off].
-            prior = dense.MotionPrior(expected, covariance)
-            result = self._relocalizer.track(index, prepared, prior, len(prepared.levels))
+            result = self._relocalizer.track(index, prepared, prior, levels)
             if result is not None:
                 return result.link
-        for index, expected in nearest[:1]:
-            prior = dense.MotionPrior(expected, covariance)
-            found = self._relocalizer.register_reliably(index, prepared, expected, prior)
-            if found is not None and found.link is not None:
-                return found.link if is_expected(prior, found.link.a_from_b) else None
         return None
 
 

@@ -6,9 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from slamcli.core.geometry import Pose2, pose_array, relative_poses
+from slamcli.core.arrays import Float64Array
+from slamcli.core.geometry import Pose2, compose_poses, pose_array, relative_poses
 from slamcli.mapping.backend.pose_graph import PoseGraphReader
 from slamcli.stages import covisibility
+
+# Overlaps are computed of those whose middles are nearest: about a pose in a map that was driven
+# over many times there are hundreds [guarded by benchmarks/locate.py].
+_MAX_COMPARED = 32
 
 
 class NearKeyframes:
@@ -29,6 +34,7 @@ class NearKeyframes:
         self._footprint = footprint
         self._indices = indices
         self._poses = pose_array([graph.pose(index) for index in indices])
+        self._middles = self._middles_of(self._poses)
 
     def find(self, near: Pose2, count: int, min_overlap: float) -> list[tuple[int, Pose2]]:
         """Return a few keyframes, most overlap first, each with ``keyframe_from_robot``.
@@ -43,9 +49,10 @@ class NearKeyframes:
             Least share of the floor at the pose that they see.
         """
         here = pose_array([near])[0]
-        apart = np.linalg.norm(self._poses[:, :2] - here[:2], axis=1)
-        reach = 2.0 * (self._footprint.radius_metres + np.linalg.norm(self._footprint.centre))
-        close = np.flatnonzero(apart < reach)
+        away = self._middles - self._middles_of(here[None])
+        squared = np.einsum("ij,ij->i", away, away)
+        close = np.flatnonzero(squared < (2.0 * self._footprint.radius_metres) ** 2)
+        close = close[np.argsort(squared[close], kind="stable")[:_MAX_COMPARED]]
         motions = relative_poses(self._poses[close], here)
         shares = self._footprint.overlaps(motions)
         best = np.argsort(-shares, kind="stable")[:count]
@@ -54,3 +61,7 @@ class NearKeyframes:
             for number in best
             if shares[number] >= min_overlap
         ]
+
+    def _middles_of(self, poses: Float64Array) -> Float64Array:
+        """Return (N, 2), metres: the middle of the floor that the camera sees at (N, 3) poses."""
+        return compose_poses(poses, np.array([*self._footprint.centre, 0.0]))[:, :2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -18,6 +19,7 @@ from slamcli.core.failures import FAILURES, logged
 from slamcli.core.geometry import Grid, Pose2
 from slamcli.core.records import Features, Frame, PreparedFrame, View
 from slamcli.mapping.frame_checks import checked_frame, refused
+from slamcli.mapping.keyframes import can_be_halved
 from slamcli.registration.preparation import assemble
 from slamcli.stages import dense, features, view
 
@@ -65,6 +67,11 @@ class Preprocessor:
         """Of the near view that is compared, in the robot frame."""
         return self._resamplers[0].grid
 
+    @property
+    def can_be_halved(self) -> bool:
+        """Whether the compared view has levels enough at half its resolution."""
+        return can_be_halved(self._masks[0])
+
     def prepare(self, frame: Frame, rocking: Rocking | None = None) -> PreparedFrame:
         """Return the prepared frame, or one with the reason why it cannot be used; never raises.
 
@@ -74,24 +81,21 @@ class Preprocessor:
         rocking : Rocking or None
             Its pitch, roll and height beside the calibration, where they are known.
         """
-        try:
-            frame = checked_frame(frame, self._calibration)
-            resampler, resamplers = self._resampler, self._resamplers
-            if rocking is not None:
-                resampler = self._of_rocked(rocking, resampler.grid)
-                resamplers = [self._of_rocked(rocking, self.grid, antialias=True)]
-            views = view.make_compared_views(frame, resamplers)
-            view.check_view(views[0])
-            painting = Deferred(partial(view.make_view, frame, resampler, gray=True))
-            extraction = Deferred(partial(self._extract, painting))
-            # With a mask or a tilt of its own, a frame's views have other masks than the camera's.
-            shared = rocking is None and frame.mask is None
-            return assemble(frame, views, painting, extraction, self._masks if shared else None)
-        except FrameError as error:
-            reason = str(error)
-        except FAILURES as error:
-            reason = f"cannot be processed: {logged(error)}"
-        return refused(frame, reason)
+        prepare = partial(self._prepare, rocking=rocking)
+        return prepared_or_refused(frame, self._calibration, prepare)
+
+    def _prepare(self, frame: Frame, rocking: Rocking | None) -> PreparedFrame:
+        resampler, resamplers = self._resampler, self._resamplers
+        if rocking is not None:
+            resampler = self._of_rocked(rocking, resampler.grid)
+            resamplers = [self._of_rocked(rocking, self.grid, antialias=True)]
+        views = view.make_compared_views(frame, resamplers)
+        view.check_view(views[0])
+        painting = Deferred(partial(view.make_view, frame, resampler, gray=True))
+        extraction = Deferred(partial(self._extract, painting))
+        # With a mask or a tilt of its own, a frame's views have other masks than the camera's.
+        shared = rocking is None and frame.mask is None
+        return assemble(frame, views, painting, extraction, self._masks if shared else None)
 
     def _of_rocked(
         self, rocking: Rocking, grid: Grid, *, antialias: bool = False
@@ -108,6 +112,19 @@ class Preprocessor:
         return features.extract(
             painting.value, self._calibration, self._features, self._tilt_radians
         )
+
+
+def prepared_or_refused(
+    frame: Frame, calibration: Calibration, prepare: Callable[[Frame], PreparedFrame]
+) -> PreparedFrame:
+    """Return a frame as prepared, or with the reason why it cannot be used; never raises."""
+    try:
+        return prepare(checked_frame(frame, calibration))
+    except FrameError as error:
+        reason = str(error)
+    except FAILURES as error:
+        reason = f"cannot be processed: {logged(error)}"
+    return refused(frame, reason)
 
 
 def _keep_freed_memory() -> None:

@@ -11,6 +11,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.errors import FrameError
@@ -21,6 +23,7 @@ from slamcli.mapping.backend.pose_graph import PoseGraphReader
 from slamcli.mapping.keyframes import KeyframeDatabase
 from slamcli.registration import (
     RegistrationResult,
+    count_features,
     direct,
     register,
     register_where_features_agree,
@@ -47,6 +50,9 @@ _MAX_KEYFRAMES_OF_A_PLACE = 2
 _SAME_SHARE_OF_RANGE = 0.1
 _SAME_RADIANS = 0.1
 _DRIFT_PER_KEYFRAME = 0.01
+# One sigma of the heading that votes put a frame at; of its place, a pixel of the coarsest level
+# [benchmarks/locate.py: 2 mm at most].
+_VOTED_RADIANS = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,13 +167,39 @@ class Relocalizer:
         prior: dense.MotionPrior,
         levels: int = direct.LEVELS,
     ) -> RegistrationResult | None:
-        """Register a frame to a keyframe by pixels alone, about where it is expected; else None."""
-        keyframe, expected = self.database.decode(a), prior.a_from_b
+        """Register a frame to a keyframe by pixels alone, about where it is expected; else None.
+
+        At half the resolution where that of the frame is halved. Where a floor repeats, that is too
+        little to tell one period from the next.
+        """
+        halved, expected = prepared.finer is not None, prior.a_from_b
+        keyframe = self.database.decode_halved(a) if halved else self.database.decode(a)
         calibration, options = self._calibration, self._options
+        # A mask of its own may leave a frame fewer.
+        levels = min(levels, len(keyframe.levels), len(prepared.levels))
         result = direct.track(keyframe, prepared, expected, calibration, options, prior, levels)
         if result is None or result.link is None or result.confirmed < _MIN_CONFIRMED:
             return None
+        if halved and _floor_repeats(result):
+            return None
         return replace(result, link=replace(result.link, kind="loop"))
+
+    def track_votes(
+        self, candidate: PlaceCandidate, prepared: PreparedFrame
+    ) -> RegistrationResult | None:
+        """Register a frame by pixels alone where votes put it; None unless features agree too.
+
+        As many as `register_reliably` requires, as no pose can contradict the pixels.
+        """
+        level = prepared.levels[-1]
+        sigmas = (level.metres_per_pixel, level.metres_per_pixel, _VOTED_RADIANS)
+        prior = dense.MotionPrior(candidate.keyframe_from_now, np.diag(sigmas) ** 2)
+        result = self.track(candidate.keyframe, prepared, prior, len(prepared.levels))
+        if result is None or not result.correlation >= _MIN_CORRELATION:
+            return None
+        least = _MIN_INLIERS_FACTOR * self._options.matching.min_inliers
+        count = count_features(result, self._calibration, self._options)
+        return result if count >= least else None
 
     def verify(
         self,
@@ -175,7 +207,10 @@ class Relocalizer:
         candidates: Sequence[PlaceCandidate],
         graph: PoseGraphReader,
     ) -> Relocalization:
-        """Register a frame to the places that candidates propose; accept one place or none."""
+        """Register a frame to the places that candidates propose; accept one place or none.
+
+        By pixels alone where the frame's pyramid is of half the resolution.
+        """
         places: list[list[PlaceCandidate]] = []
         for candidate in candidates:
             if not graph.is_placed(candidate.keyframe):
@@ -207,9 +242,12 @@ class Relocalizer:
     ) -> RegistrationResult | None:
         for candidate in place[:_MAX_KEYFRAMES_OF_A_PLACE]:
             try:
-                result = self.register_reliably(
-                    candidate.keyframe, prepared, candidate.keyframe_from_now
-                )
+                if prepared.finer is not None:
+                    result = self.track_votes(candidate, prepared)
+                else:
+                    result = self.register_reliably(
+                        candidate.keyframe, prepared, candidate.keyframe_from_now
+                    )
             except FrameError:  # the keyframe's pictures, from a damaged map
                 continue
             if result is not None:
@@ -248,6 +286,13 @@ class Relocalizer:
         return are_near(
             graph.pose(a) @ a_from_now, graph.pose(b) @ b_from_now, metres, _SAME_RADIANS + drift
         )
+
+
+def _floor_repeats(result: RegistrationResult) -> bool:
+    """Return whether floor that two frames both see looks like itself somewhere else in a view."""
+    if len(result.keyframe.repeats):
+        return True
+    return result.overlap < direct.MIN_OVERLAP_OF_PERIODS and len(result.prepared.repeats) > 0
 
 
 def are_near(first: Pose2, second: Pose2, metres: float, radians: float) -> bool:

@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import partial
 
 from slamcli.core.camera.calibration import Calibration
-from slamcli.core.config import MapperOptions
+from slamcli.core.config import MapperOptions, MatchOptions
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import PreparedFrame
 from slamcli.registration import acceptance, hypotheses, refinement
@@ -22,7 +22,12 @@ from slamcli.registration.result import INCONCLUSIVE, RegistrationResult, Verdic
 from slamcli.registration.selection import PairContext
 from slamcli.stages import align, dense
 
-__all__ = ["RegistrationResult", "register", "register_where_features_agree"]
+__all__ = [
+    "RegistrationResult",
+    "count_features",
+    "register",
+    "register_where_features_agree",
+]
 
 # How far from a guess matches are looked for, as a share of how far the camera sees
 # [guarded by benchmarks/robustness.py: plain chains lose tiles to matches from afar].
@@ -88,6 +93,17 @@ def register_where_features_agree(
     return _register_matched(context, near, guess, None)
 
 
+def count_features(
+    result: RegistrationResult, calibration: Calibration, options: MapperOptions
+) -> int:
+    """Return how many features agree with the motion that a direct tracking measured."""
+    keyframe, prepared = result.keyframe.features, result.prepared.features
+    if result.link is None or keyframe is None or prepared is None:
+        return 0
+    matching = _matching(calibration, options)
+    return align.count_agreeing(keyframe, prepared, matching, result.link.a_from_b)
+
+
 def _register_matched(
     context: PairContext,
     near: PyramidPair,
@@ -120,13 +136,14 @@ def _match(
     """Return two frames with the alignment of their features, near a guess if there is one."""
     assert keyframe.features is not None
     assert prepared.features is not None
-    matching = replace(
-        options.matching,
-        model="rigid",
-        search_radius=_MATCH_RADIUS_SHARE_OF_RANGE * calibration.max_range_metres,
-    )
+    matching = _matching(calibration, options)
     alignment = align.align(keyframe.features, prepared.features, matching, guess)
     return PairContext(keyframe, prepared, alignment, calibration, options, searched_metres, prior)
+
+
+def _matching(calibration: Calibration, options: MapperOptions) -> MatchOptions:
+    radius = _MATCH_RADIUS_SHARE_OF_RANGE * calibration.max_range_metres
+    return replace(options.matching, model="rigid", search_radius=radius)
 
 
 def _floor_repeats(prepared: PreparedFrame) -> bool:

@@ -37,7 +37,7 @@ _MIN_OVERLAP = 0.3
 # What repeats in the floor that both see repeats in the keyframe too, where that is most of it
 # [guarded by benchmarks/tiles.py: 0 false links; a keyframe takes 6 ms less,
 # benchmarks/streaming.py].
-_MIN_OVERLAP_OF_PERIODS = 0.6
+MIN_OVERLAP_OF_PERIODS = 0.6
 # Sigma of a motion in its least certain direction, as a share of the camera's range: 0.0001 to
 # 0.0004 where the floor fixes it. Along a plain line noise passes for some information now and
 # then, and no search shows that other motions fit as well
@@ -98,7 +98,7 @@ def track(
         return None
     fit = score_coarsely(pair, refined)
     shared = prepared
-    if fit.agreement.overlap >= _MIN_OVERLAP_OF_PERIODS:
+    if fit.agreement.overlap >= MIN_OVERLAP_OF_PERIODS:
         shared = replace(prepared, periodicity=NO_PERIODS)
     context = PairContext(keyframe, shared, _NO_ALIGNMENT, calibration, options, 0.0, prior)
     if not _explains_all(context, fit):

@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from worlds import make_photographer, take
+from worlds import CAMERA, make_photographer, take
 
 import slamcli
 from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import Frame, PoseEstimate, PreparedFrame
+from slamcli.core.records import Features, Frame, PoseEstimate, PreparedFrame
 from slamcli.mapping.backend.pose_graph import PoseGraph
 from slamcli.mapping.keyframes import KeyframeDatabase, encode_keyframe
 from slamcli.mapping.preprocessing import Preprocessor
+from slamcli.mapping.query_frames import QueryPreprocessor
 from slamcli.mapping.relocalization import Relocalizer, are_near
 from slamcli.registration.marks import RepeatMarks
+from slamcli.simulation.config import CameraOptions
 from slamcli.stages.place_index import PlaceCandidate
 
 
 class Floor:
     """An asphalt floor, a camera over it, and a map of some keyframes."""
 
-    def __init__(self) -> None:
-        self.photographer = make_photographer()
+    def __init__(self, camera: CameraOptions = CAMERA) -> None:
+        self.photographer = make_photographer(camera=camera)
         self.camera = self.photographer.calibration
         self.options = slamcli.MapperOptions()
         self.preprocessor = Preprocessor(self.camera, self.options)
@@ -139,3 +141,27 @@ def test_poses_are_near_within_a_distance_and_an_angle() -> None:
     assert are_near(here, here @ Pose2(0.03, 0.04, 0.09), 0.051, 0.1)
     assert not are_near(here, here @ Pose2(0.03, 0.04, 0.09), 0.049, 0.1)
     assert not are_near(here, here @ Pose2(0.03, 0.04, -0.11), 0.051, 0.1)
+
+
+def test_half_the_resolution_decides_nothing_on_a_floor_that_repeats() -> None:
+    floor = Floor(replace(CAMERA, size=(640, 480)))
+    relocalizer, graph = floor.map({Pose2(): Pose2()})
+    truth = Pose2(0.05, 0.01, 0.2)
+    image = take(floor.photographer, truth, 9)
+    prepared = QueryPreprocessor(floor.camera, floor.options).prepare(Frame(9, "9", None, image))
+    candidates = relocalizer.query(prepared.features)
+    found = relocalizer.verify(prepared, candidates, graph)
+    assert found.link is not None
+    assert (truth.inverse() @ found.link.a_from_b).translation_length < 0.0005
+    # Neither where it repeats, nor where fewer features agree than without pixels are required.
+    keyframe = relocalizer.database.decode_halved(0)
+    keyframe.periodicity._value = np.array([[0.1, 0.0]])
+    assert relocalizer.verify(prepared, candidates, graph).link is None
+    keyframe.periodicity._value = np.empty((0, 2))
+    few = replace(prepared, extraction=Deferred.of(first_of(prepared.features, 30)))
+    assert relocalizer.verify(few, candidates, graph).link is None
+
+
+def first_of(features: Features, count: int) -> Features:
+    names = [field.name for field in fields(features) if field.name != "norm"]
+    return replace(features, **{name: getattr(features, name)[:count] for name in names})

@@ -194,6 +194,8 @@ class PreparedFrame:
         Shifts, metres in the robot's axes, by which the view looks like itself.
     digest : bytes
         Of the frame's file; empty when there is none or it could not be read.
+    finer : Deferred of PreparedFrame, or None
+        The same frame at the full resolution, where `levels` are of half of it.
     """
 
     index: int
@@ -206,6 +208,7 @@ class PreparedFrame:
     far_levels: tuple[PyramidLevel, ...] = ()
     periodicity: Deferred[Float64Array] = NO_PERIODS
     digest: bytes = b""
+    finer: Deferred[PreparedFrame] | None = None
 
     @property
     def view(self) -> View | None:

@@ -32,6 +32,7 @@ __all__ = [
     "Consensus",
     "RigidFit",
     "align",
+    "count_agreeing",
     "fit_rigid",
     "match_descriptors",
     "ransac",
@@ -91,6 +92,18 @@ def align(
         spread,
         reason,
     )
+
+
+def count_agreeing(
+    features_a: Features, features_b: Features, options: MatchOptions, a_from_b: Pose2
+) -> int:
+    """Return how many matches agree with a motion that is known, as inliers of `align` do."""
+    matches, _ = match_descriptors(features_a, features_b, options, a_from_b.matrix)
+    pairs = _matched_points(features_a, features_b, matches, options)
+    motion = a_from_b.matrix
+    residuals = residuals_of(motion[None], pairs.a, pairs.b, MODELS["rigid"])[0]
+    agree = (residuals < pairs.thresholds) & _turned_alike(motion, pairs, options)
+    return int(np.count_nonzero(agree))
 
 
 def _matched_points(

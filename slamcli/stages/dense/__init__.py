@@ -21,6 +21,7 @@ from slamcli.stages.dense.periodicity import find_periods
 from slamcli.stages.dense.photometric_residuals import MotionPrior
 from slamcli.stages.dense.pyramid import (
     LevelMask,
+    halved,
     make_level_masks,
     make_levels,
 )
@@ -41,6 +42,7 @@ __all__ = [
     "evidence",
     "find_obstacles",
     "find_periods",
+    "halved",
     "keep_agreeing_points",
     "make_level_masks",
     "make_levels",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
@@ -99,7 +99,9 @@ def make_level_masks(mask: UInt8Array) -> tuple[LevelMask, ...]:
 
 
 def make_levels(
-    view: View, level_masks: Sequence[LevelMask] | None = None
+    view: View,
+    level_masks: Sequence[LevelMask] | None = None,
+    max_points: int | None = None,
 ) -> tuple[PyramidLevel, ...]:
     """Return a gray view's pyramid: the view itself, and smaller ones.
 
@@ -110,6 +112,8 @@ def make_levels(
     view : View
     level_masks : sequence of LevelMask or None
         From `make_level_masks` of the view's mask, where that was done before.
+    max_points : int or None
+        Of each level's template, evenly sampled of those that it has otherwise.
     """
     image, pixel_from_metres = view.image, view.grid.pixel_from_metres
     metres_per_pixel = view.grid.metres_per_pixel
@@ -136,7 +140,12 @@ def make_levels(
                 level_mask.weight,
                 Deferred(
                     partial(
-                        _template, detail, level_mask.weight, pixel_from_metres, metres_per_pixel
+                        _template,
+                        detail,
+                        level_mask.weight,
+                        pixel_from_metres,
+                        metres_per_pixel,
+                        max_points,
                     )
                 ),
                 Deferred(partial(_contrast, detail, level_mask, noise_gray)),
@@ -144,6 +153,11 @@ def make_levels(
             )
         )
     return tuple(levels)
+
+
+def halved(view: View) -> View:
+    """Return a gray view as the second level of its pyramid shows it."""
+    return replace(view, grid=view.grid.halved, image=_halved(view.image), mask=_halved(view.mask))
 
 
 def _level_mask(mask: UInt8Array) -> LevelMask:
@@ -175,10 +189,13 @@ def _template(
     weight: Float32Array,
     pixel_from_metres: Float64Array,
     metres_per_pixel: float,
+    max_points: int | None,
 ) -> Template:
     """Return the points of a level with the strongest gradients."""
     right, up = slopes(detail, metres_per_pixel)
     chosen = _strongest_gradients((right * right + up * up) * weight)
+    if max_points is not None:
+        chosen = chosen[:: max(1, -(-len(chosen) // max_points))]
     rows, columns = np.unravel_index(chosen, detail.shape)
     points = apply_homography(invert(pixel_from_metres), np.column_stack([columns, rows]))
     gradients = np.column_stack([right.ravel()[chosen], up.ravel()[chosen]]).astype(np.float64)
