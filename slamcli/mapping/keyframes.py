@@ -154,6 +154,15 @@ class KeyframeDatabase:
         number = self._number[index]
         return self.order[number - 1] if number else None
 
+    def is_expected(self, index: int) -> bool:
+        """Return whether a frame lies as far after the latest keyframe as that after another.
+
+        Or twice as far and so on: of a steady drive these become keyframes.
+        """
+        latest = self.order[-2:]
+        spacing = latest[-1] - latest[0] if latest else 0
+        return spacing > 0 and index > latest[-1] and (index - latest[-1]) % spacing == 0
+
     def steps_between(self, a: int, b: int) -> int:
         """Return how many keyframes after a the keyframe b was inserted."""
         return self._number[b] - self._number[a]

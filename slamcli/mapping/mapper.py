@@ -34,6 +34,7 @@ from slamcli.mapping.backend.sensors import Sensors
 from slamcli.mapping.frame_checks import is_known
 from slamcli.mapping.keyframes import KeyframeDatabase
 from slamcli.mapping.locks import ReentrantLock
+from slamcli.mapping.lookahead import compute_ahead
 from slamcli.mapping.loop_closure import LoopCloser, Spread
 from slamcli.mapping.lost_frames import LostFrames, PrepareAgain
 from slamcli.mapping.motion_model import MotionModel
@@ -182,6 +183,12 @@ class Mapper:
     def prepare(self, frame: Frame) -> PreparedFrame:
         """Compute all that needs no other frame; may run ahead on any thread. Never raises."""
         return self._preprocessor.prepare(frame)
+
+    def prepare_ahead(self, frame: Frame) -> PreparedFrame:
+        """Return the same as `prepare`, with what `step` is likely to need computed already."""
+        prepared = self._preprocessor.prepare(frame)
+        compute_ahead(prepared, keyframe=self._database.is_expected(frame.index))
+        return prepared
 
     def step(self, prepared: PreparedFrame) -> PoseEstimate:
         """Place one prepared frame; frames come in order, and an index that came before is refused.

@@ -52,7 +52,10 @@ def run_mapper(
     """
     first = mapper.frame_count
     kept = None if session.scheduler else thumbnails
-    work = partial(read_and_prepare, mapper.prepare, thumbnails=kept)
+    # A single thread has no time to spare, and another process does not know the keyframes.
+    spare = session.workers > 1 and not session.scheduler
+    prepare = mapper.prepare_ahead if spare else mapper.prepare
+    work = partial(read_and_prepare, prepare, thumbnails=kept)
     for done, prepared in enumerate(session.ordered(work, files[first:stop]), start=first + 1):
         before_step(prepared)
         mapper.step(prepared)

@@ -121,6 +121,29 @@ def test_only_keyframes_have_features_and_most_frames_take_few_kernels(
     assert calls["periods"] <= len(keyframes) + 1
 
 
+def test_what_is_expected_to_be_needed_is_computed_ahead_and_changes_nothing(
+    photographer: photograph.Photographer, pictures: list[np.ndarray], calls: Counter[str]
+) -> None:
+    mapper, plain = (Mapper(photographer.calibration) for _ in range(2))
+    ahead, late = Counter[str](), Counter[str]()
+    for index, picture in enumerate(pictures):
+        before = Counter(calls)
+        prepared = mapper.prepare_ahead(Frame(index, str(index), None, picture))
+        ahead += calls - before
+        before = Counter(calls)
+        mapper.step(prepared)
+        late += calls - before
+        plain.step(plain.prepare(Frame(index, str(index), None, picture)))
+    for one, other in zip(mapper.estimates, plain.estimates, strict=True):
+        assert one.map_from_robot == other.map_from_robot
+        np.testing.assert_array_equal(one.covariance, other.covariance)
+    # Two keyframes and the second frame come before any that is expected.
+    assert late["extract"] == 3
+    assert ahead["extract"] == len(mapper._database.keyframes) - 2 >= 2
+    assert ahead["periods"] == ahead["extract"]
+    assert late["periods"] <= 3
+
+
 def test_a_robot_that_drives_back_is_tracked_by_the_keyframes_that_see_its_floor(
     photographer: photograph.Photographer, calls: Counter[str]
 ) -> None:
