@@ -34,7 +34,7 @@ ARGUMENTS = {
 WORK = [
     *[(f"slamcli.run.{name}", name) for name in COMMANDS],
     ("slamcli.run.stitch.dry_run", "forecast"),
-    ("slamcli.run.calibrate.self_calibration", "calibrate_by_frames"),
+    ("slamcli.run.self_calibration", "calibrate_by_frames"),
 ]
 
 

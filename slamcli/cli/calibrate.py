@@ -107,7 +107,7 @@ def calibrate(
         raise click.UsageError("-c is for --refine, which refines a calibration by frames")
     if refine and (calibration is not None or any(photo.is_dir() for photo in photos)):
         from slamcli.cli.progress import open_session
-        from slamcli.run.calibrate.self_calibration import calibrate_by_frames
+        from slamcli.run.self_calibration import calibrate_by_frames
 
         with open_session(workers) as session:
             report = calibrate_by_frames(

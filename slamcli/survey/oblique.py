@@ -12,10 +12,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-from scipy.optimize import OptimizeResult, least_squares
 
 from slamcli.core.arrays import BoolArray, Complex128Array, Float64Array, IntpArray
 from slamcli.core.camera.mounting import image_from_robot_homography
@@ -218,19 +218,26 @@ def estimate_camera(
     ]
     few, most = (_Matches.of(motions, count) for count in (_ROUGH_MATCHES, _MAX_MATCHES))
     rough = [_solved(few, width, start, prior, _ROUGH_STEPS) for start in starts]
-    best = min(rough, key=lambda one: float(one.cost))
-    best = _solved(most, width, best.x, prior)
+    best = min(rough, key=lambda one: one.cost)
+    best = _solved(most, width, best.values, prior)
     every = _Matches.of(motions, max(len(one.pixels_a) for one in motions))
-    median = float(np.median(np.linalg.norm(every.residuals(best.x, width), axis=1)))
+    median = float(np.median(np.linalg.norm(every.residuals(best.values, width), axis=1)))
     noise = max(median / 1.18, 0.05) / _LOSS_PIXELS
-    jacobian = np.asarray(best.jac, np.float64)
-    covariance = noise**2 * np.linalg.pinv(jacobian.T @ jacobian)
+    covariance = noise**2 * np.linalg.pinv(best.jacobian.T @ best.jacobian)
     sigmas = np.sqrt(np.diag(covariance))
-    focal, pitch, roll, bend = best.x.tolist()
+    focal, pitch, roll, bend = best.values.tolist()
     camera = ObliqueCamera(
         width * math.exp(focal), pitch, roll, bend, float(sigmas[0]), float(sigmas[1]), median
     )
     return _checked(camera, width)
+
+
+class _Solution(NamedTuple):
+    """The solution of a least-squares problem: its values (K,), its cost, its Jacobian (N, K)."""
+
+    values: Float64Array
+    cost: float
+    jacobian: Float64Array
 
 
 def _solved(
@@ -239,7 +246,7 @@ def _solved(
     start: Float64Array,
     focal: _FocalPrior,
     steps: int | None = None,
-) -> OptimizeResult:
+) -> _Solution:
     """Return the least squares of log focal length (widths), pitch, roll and k1, from a start."""
 
     def misfit(values: Float64Array) -> Float64Array:
@@ -251,7 +258,11 @@ def _solved(
         ]
         return np.concatenate([residual, prior])
 
-    return least_squares(misfit, start, loss="cauchy", x_scale="jac", max_nfev=steps)
+    # Slow to load, and needed for cameras without a calibration alone.
+    from scipy.optimize import least_squares
+
+    found = least_squares(misfit, start, loss="cauchy", x_scale="jac", max_nfev=steps)
+    return _Solution(np.asarray(found.x), float(found.cost), np.asarray(found.jac, np.float64))
 
 
 def _checked(camera: ObliqueCamera, width: int) -> ObliqueCamera:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.optimize import least_squares
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array
 from slamcli.core.camera.lens import image_centre
@@ -91,6 +90,9 @@ class Alignment:
 
     def solve(self, start: Float64Array, steps: int) -> Aligned:
         """Return the alignment from a first guess."""
+        # Slow to load, and needed for cameras without a calibration alone.
+        from scipy.optimize import least_squares
+
         found = least_squares(
             self._misfit, start, self._jacobian, loss="soft_l1", x_scale="jac", max_nfev=steps
         )

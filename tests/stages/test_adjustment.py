@@ -27,7 +27,7 @@ from slamcli.io.calibrations import (
     load_origin,
     save_calibration,
 )
-from slamcli.run.calibrate.self_calibration import true_scale
+from slamcli.run.self_calibration import true_scale
 from slamcli.simulation.config import CameraOptions
 from slamcli.simulation.photograph import make_camera
 from slamcli.stages import adjustment

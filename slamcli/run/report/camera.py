@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from slamcli.core.camera.calibration import Calibration
-from slamcli.run.calibrate.self_calibration import describe
 from slamcli.run.report.run import FinishedRun
+from slamcli.run.self_calibration import describe
 
 
 def camera_table(run: FinishedRun) -> dict[str, object]:

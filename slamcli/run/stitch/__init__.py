@@ -11,7 +11,7 @@ from slamcli.io.checkpoints import Checkpoint
 from slamcli.io.map_file import MAP_NAME, save_map
 from slamcli.io.outputs import locked_folder, move_folder, remove_folder, staging_folder
 from slamcli.io.poses import write_poses
-from slamcli.run.calibrate import self_calibration
+from slamcli.run import self_calibration
 from slamcli.run.command_report import Report
 from slamcli.run.paint import outputs
 from slamcli.run.paint.outputs import PaintedMaps

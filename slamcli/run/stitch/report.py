@@ -11,11 +11,11 @@ from slamcli.core.exit_codes import ExitCode, of_placement
 from slamcli.core.geometry import path_length
 from slamcli.io import runs, toml
 from slamcli.mapping.backend.pose_graph import placed_fragments
-from slamcli.run.calibrate.self_calibration import describe, run_section
 from slamcli.run.command_report import Report
 from slamcli.run.networks import LEARNED
 from slamcli.run.paint.outputs import PaintedMaps, counted
 from slamcli.run.report.run import FinishedRun
+from slamcli.run.self_calibration import describe, run_section
 from slamcli.run.session.session import Session
 from slamcli.run.stitch import exports
 from slamcli.run.stitch.drive import Drive, LocatedDrive
