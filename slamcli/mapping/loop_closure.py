@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from itertools import groupby, islice
+from itertools import chain, groupby, islice
 
 import numpy as np
 
@@ -38,8 +38,8 @@ _MAX_SQUARED_MAHALANOBIS = 21.1
 _MAX_STEPS_BESIDE = 1
 # Registrations about guesses that differ by less search the same motions.
 _SAME_RADIANS = 0.1
-# Keyframes whose candidates are listed at a time: bounds the memory.
-_KEYFRAMES_AT_ONCE = 64
+# Keyframes whose candidates are listed at a time: bounds the memory [benchmarks/scale.py].
+_KEYFRAMES_AT_ONCE = 1024
 
 
 class LoopCloser:
@@ -178,8 +178,12 @@ class LoopCloser:
             linked.update([*graph.links, *found])
             by_keyframe = (list(group) for _, group in groupby(candidates, lambda one: one.b))
             while listed := list(islice(by_keyframe, _KEYFRAMES_AT_ONCE)):
-                for links in spread(partial(self._verify_keyframe, linked), listed):
-                    found += links
+                # Those of one place after one another, whose candidates are decoded once.
+                order = sorted(range(len(listed)), key=lambda n: min(one.a for one in listed[n]))
+                by_place = [listed[number] for number in order]
+                verified = spread(partial(self._verify_keyframe, linked), by_place)
+                links_of = dict(zip(order, verified, strict=True))
+                found += chain.from_iterable(links_of[number] for number in range(len(listed)))
         return found + self._between_fragments(graph)
 
     def _verify_keyframe(self, linked: _LinkedKeyframes, candidates: Candidates) -> list[Link]:

@@ -17,6 +17,8 @@ from slamcli.core.geometry import compose_poses, relative_poses
 # Overlaps differ from those of the views by less than 0.06.
 # [guarded by tests/mapping/test_loop_closure.py]
 _SAMPLES_A_SIDE = 14
+# Edges of the outlines within and around the footprint's, which may have hundreds.
+_FEW_EDGES = 32
 # Frames whose distances in the graph are computed at a time: bounds the memory.
 _FRAMES_AT_ONCE = 64
 
@@ -31,9 +33,12 @@ class Footprint:
 
     def __init__(self, calibration: Calibration) -> None:
         hull = ConvexHull(footprint_hull(calibration))
-        # Inside is where normal . point + offset <= 0 for every edge.
-        self._normals, self._offsets = hull.equations[:, :2], hull.equations[:, 2]
         corners = hull.points[hull.vertices]
+        # Inside is where normal . point + offset <= 0 for every edge.
+        self._edges = hull.equations
+        # Few edges decide nearly everywhere: some of its own, those between some of its corners.
+        self._outer = self._edges[:: max(1, len(self._edges) // _FEW_EDGES)]
+        self._inner = ConvexHull(corners[:: max(1, len(corners) // _FEW_EDGES)]).equations
         low, high = corners.min(axis=0), corners.max(axis=0)
         steps = (np.arange(_SAMPLES_A_SIDE) + 1.0) / (_SAMPLES_A_SIDE + 1.0)
         x, y = np.meshgrid(*(low[axis] + steps * (high - low)[axis] for axis in (0, 1)))
@@ -57,8 +62,18 @@ class Footprint:
         return shares
 
     def _inside(self, points: Float64Array) -> BoolArray:
-        edges = points @ self._normals.T + self._offsets
-        return np.asarray((edges <= 0.0).all(axis=-1))
+        """Return (...): whether points (..., 2) lie within the outline."""
+        flat = points.reshape(-1, 2)
+        inside = _within(flat, self._outer)
+        open_points = np.flatnonzero(inside)
+        open_points = open_points[~_within(flat[open_points], self._inner)]
+        inside[open_points] = _within(flat[open_points], self._edges)
+        return inside.reshape(points.shape[:-1])
+
+
+def _within(points: Float64Array, edges: Float64Array) -> BoolArray:
+    """Return (N,): whether points (N, 2) lie within all edges, rows of normal and offset."""
+    return np.asarray((points @ edges[:, :2].T + edges[:, 2] <= 0.0).all(axis=1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
