@@ -16,6 +16,7 @@ from slamcli.core.records import (
     NormalisedDetail,
     PreparedFrame,
     PyramidLevel,
+    Pyramids,
     Template,
 )
 from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair
@@ -52,7 +53,7 @@ def frame_of(index: int = 0, repeats: Float64Array | None = None) -> PreparedFra
         None,
         None,
         None,
-        levels=levels,
+        pyramids=Deferred.of(Pyramids(levels)),
         periodicity=NO_PERIODS if repeats is None else Deferred.of(repeats),
     )
 

@@ -60,7 +60,7 @@ def with_rocking(
     """
     fit, link = result.fit, result.link
     shown = _shown_sigma(tilts_radians)
-    if shown <= _LEAST_SHARE * math.radians(options.tilt_sigma_degrees):
+    if not is_shown(tilts_radians, options):
         return result
     if fit is None or link is None or fit.includes_rocking or criteria.mostly_obstructed(fit):
         return result
@@ -73,6 +73,12 @@ def with_rocking(
         return result
     link = replace(link, a_from_b=rocking.pose, covariance=rocking.covariance)
     return replace(result, link=link, fit=rocking)
+
+
+def is_shown(tilts_radians: list[float], options: MapperOptions) -> bool:
+    """Return whether the links so far show that the camera rocks."""
+    least = _LEAST_SHARE * math.radians(options.tilt_sigma_degrees)
+    return _shown_sigma(tilts_radians) > least
 
 
 def _shown_sigma(tilts_radians: list[float]) -> float:

@@ -17,7 +17,7 @@ from slamcli.core.arrays import UInt8Array
 from slamcli.core.deferred import Deferred
 from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid
-from slamcli.core.records import Features, Keyframe, PreparedFrame, View
+from slamcli.core.records import Features, Keyframe, PreparedFrame, Pyramids, View
 from slamcli.stages import dense
 from slamcli.stages.place_index import PlaceCandidate, PlaceIndex
 
@@ -198,10 +198,8 @@ def _decode_keyframe(
         keyframe.stamp,
         None,
         Deferred.of(features),
-        "",
-        levels,
-        (),
-        Deferred(partial(dense.find_periods, levels)),
+        pyramids=Deferred.of(Pyramids(levels)),
+        periodicity=Deferred(partial(dense.find_periods, levels)),
     )
 
 

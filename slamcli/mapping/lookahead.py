@@ -25,10 +25,13 @@ def compute_ahead(prepared: PreparedFrame, *, keyframe: bool) -> None:
         Whether it is likely to become a keyframe: so that others are tracked against it, and it is
         found again by its features.
     """
-    levels = prepared.levels[: direct.LEVELS]
     try:
+        if not keyframe and (sparse := prepared.sparse.value) is not None:
+            _ = sparse.second.normalised
+            return
+        levels = prepared.levels[: direct.LEVELS]
         _ = [level.normalised for level in levels[-1:]]
-        if keyframe:
+        if keyframe and levels:
             _ = [level.points for level in levels]
             _ = prepared.repeats, prepared.features
     except _RAISED_AGAIN:

@@ -175,10 +175,11 @@ class Mapper:
         frame : Frame, or (H, W[, 3]) uint8 BGR or gray pixels of the next one
         """
         if isinstance(frame, Frame):
-            return self.step(self.prepare(frame))
+            return self.step(self._preprocessor.prepare(frame, lazily=True))
         with self._lock:
             index = self._graph.next_index
-            return self.step(self.prepare(Frame(index, f"frame {index}", None, frame)))
+            following = Frame(index, f"frame {index}", None, frame)
+            return self.step(self._preprocessor.prepare(following, lazily=True))
 
     def prepare(self, frame: Frame) -> PreparedFrame:
         """Compute all that needs no other frame; may run ahead on any thread. Never raises."""
@@ -186,7 +187,7 @@ class Mapper:
 
     def prepare_ahead(self, frame: Frame) -> PreparedFrame:
         """Return the same as `prepare`, with what `step` is likely to need computed already."""
-        prepared = self._preprocessor.prepare(frame)
+        prepared = self._preprocessor.prepare(frame, lazily=True)
         compute_ahead(prepared, keyframe=self._database.is_expected(frame.index))
         return prepared
 
@@ -210,11 +211,18 @@ class Mapper:
 
     def _step(self, prepared: PreparedFrame) -> PoseEstimate:
         """Place a frame of a new index."""
-        if not prepared.levels:
-            return self._backend.add_lost(prepared, prepared.reason)
-        before, self._tracking.latest = self._tracking.latest, prepared
+        before = self._tracking.latest
         if before is not None and _same_picture(before, prepared):
+            self._tracking.latest = prepared
             return self._backend.add_duplicate(before, prepared)
+        sparsely = self._tracker.track_sparsely(prepared)
+        if sparsely is not None:
+            self._tracking.latest, self._registrations = prepared, [sparsely]
+            return self._insert(prepared, self._registrations)
+        if not prepared.levels:
+            reason = prepared.reason or prepared.pyramids.value.reason
+            return self._backend.add_lost(prepared, reason)
+        self._tracking.latest = prepared
         if not self.options.dense:
             assert prepared.features is not None
             found, needed = len(prepared.features), self.options.matching.min_inliers
@@ -431,7 +439,14 @@ def _most_informative(results: list[RegistrationResult]) -> RegistrationResult:
 
 
 def _same_picture(a: PreparedFrame, b: PreparedFrame) -> bool:
-    if not np.array_equal(a.levels[-1].image, b.levels[-1].image):  # a hundredth of the pixels
+    sparse = [one.sparse.value for one in (a, b)]
+    painted = [one.second.image for one in sparse if one is not None]
+    if len(painted) == 2 and not np.array_equal(painted[0], painted[1]):
         return False
-    first, second = a.levels[0], b.levels[0]
-    return np.array_equal(first.image, second.image) and np.array_equal(first.mask, second.mask)
+    # A hundredth of the pixels differ where most do.
+    if not (b.levels and a.levels and np.array_equal(a.levels[-1].image, b.levels[-1].image)):
+        return False
+    finest_a, finest_b = a.levels[0], b.levels[0]
+    return np.array_equal(finest_a.image, finest_b.image) and np.array_equal(
+        finest_a.mask, finest_b.mask
+    )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -17,10 +18,18 @@ from slamcli.core.deferred import Deferred
 from slamcli.core.errors import FrameError
 from slamcli.core.failures import FAILURES, logged
 from slamcli.core.geometry import Grid, Pose2
-from slamcli.core.records import Features, Frame, PreparedFrame, View
+from slamcli.core.records import (
+    NO_SPARSE_VIEW,
+    Features,
+    Frame,
+    PreparedFrame,
+    Pyramids,
+    SparseView,
+    View,
+)
 from slamcli.mapping.frame_checks import checked_frame, refused
 from slamcli.mapping.keyframes import can_be_halved
-from slamcli.registration.preparation import assemble
+from slamcli.registration.preparation import LevelMasks, assemble, make_pyramids
 from slamcli.stages import dense, features, view
 
 # The GNU C library does not follow blocks of 32 MiB and more.
@@ -61,6 +70,7 @@ class Preprocessor:
             calibration, self.metres_per_pixel, far=options.dense
         )
         self._masks = [dense.make_level_masks(resampler.mask) for resampler in self._resamplers]
+        self._sparse = Deferred(self._make_reading)
 
     @property
     def grid(self) -> Grid:
@@ -72,7 +82,9 @@ class Preprocessor:
         """Whether the compared view has levels enough at half its resolution."""
         return can_be_halved(self._masks[0])
 
-    def prepare(self, frame: Frame, rocking: Rocking | None = None) -> PreparedFrame:
+    def prepare(
+        self, frame: Frame, rocking: Rocking | None = None, *, lazily: bool = False
+    ) -> PreparedFrame:
         """Return the prepared frame, or one with the reason why it cannot be used; never raises.
 
         Parameters
@@ -80,22 +92,67 @@ class Preprocessor:
         frame : Frame
         rocking : Rocking or None
             Its pitch, roll and height beside the calibration, where they are known.
+        lazily : bool
+            Whether its pyramids are made when they are first needed; then they have the reason.
         """
-        prepare = partial(self._prepare, rocking=rocking)
+        prepare = partial(self._prepare, rocking=rocking, lazily=lazily)
         return prepared_or_refused(frame, self._calibration, prepare)
 
-    def _prepare(self, frame: Frame, rocking: Rocking | None) -> PreparedFrame:
-        resampler, resamplers = self._resampler, self._resamplers
-        if rocking is not None:
-            resampler = self._of_rocked(rocking, resampler.grid)
-            resamplers = [self._of_rocked(rocking, self.grid, antialias=True)]
-        views = view.make_compared_views(frame, resamplers)
-        view.check_view(views[0])
-        painting = Deferred(partial(view.make_view, frame, resampler, gray=True))
-        extraction = Deferred(partial(self._extract, painting))
+    def _prepare(self, frame: Frame, rocking: Rocking | None, *, lazily: bool) -> PreparedFrame:
         # With a mask or a tilt of its own, a frame's views have other masks than the camera's.
         shared = rocking is None and frame.mask is None
-        return assemble(frame, views, painting, extraction, self._masks if shared else None)
+        masks = self._masks if shared else None
+        pyramids = Deferred(partial(self._make_pyramids, frame, rocking, masks))
+        if not lazily and pyramids.value.reason:
+            raise FrameError(pyramids.value.reason)
+        painting = Deferred(partial(self._paint, frame, rocking))
+        extraction = Deferred(partial(self._extract, painting))
+        sparse = Deferred(partial(self._make_sparse, frame)) if shared else NO_SPARSE_VIEW
+        return assemble(frame, pyramids, painting, extraction, sparse)
+
+    def _make_pyramids(
+        self, frame: Frame, rocking: Rocking | None, masks: Sequence[LevelMasks] | None
+    ) -> Pyramids:
+        """Return a frame's pyramids, or why there are none."""
+        try:
+            resamplers = self._resamplers
+            if rocking is not None:
+                resamplers = [self._of_rocked(rocking, self.grid, antialias=True)]
+            views = view.make_compared_views(frame, resamplers)
+            view.check_view(views[0])
+            return make_pyramids(views, masks)
+        except FrameError as error:
+            return Pyramids(reason=str(error))
+        except FAILURES as error:
+            return Pyramids(reason=f"cannot be processed: {logged(error)}")
+
+    def _make_sparse(self, frame: Frame) -> SparseView | None:
+        """Return a frame's sparse view; None where it shows nothing that could be matched."""
+        reading, resampler = self._sparse.value
+        smoothed = dense.smoothed_pictures(view.to_gray(frame.image), reading.most_halvings)
+        try:
+            second = view.make_view(replace(frame, image=smoothed[0]), resampler, gray=True)
+            view.check_view(second)
+        except FrameError:
+            return None
+        return dense.make_sparse_view(smoothed, second, reading)
+
+    def _make_reading(self) -> tuple[dense.FloorReading, view.Resampler]:
+        """Return where frames are read for their sparse views, and how the second level is.
+
+        That is read from pictures that are smoothed already.
+        """
+        resampler = view.make_resampler(
+            self._calibration, resolution_image(self._calibration), self.grid.halved, Pose2()
+        )
+        return dense.FloorReading.of(self._calibration, self.grid, self._masks[0]), resampler
+
+    def _paint(self, frame: Frame, rocking: Rocking | None) -> View:
+        """Return the gray view that a frame's features are detected in."""
+        resampler = self._resampler
+        if rocking is not None:
+            resampler = self._of_rocked(rocking, resampler.grid)
+        return view.make_view(frame, resampler, gray=True)
 
     def _of_rocked(
         self, rocking: Rocking, grid: Grid, *, antialias: bool = False

@@ -18,7 +18,7 @@ from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Features, Frame, PreparedFrame, View
 from slamcli.mapping.preprocessing import Preprocessor, prepared_or_refused
-from slamcli.registration.preparation import assemble
+from slamcli.registration.preparation import assemble, make_pyramids
 from slamcli.stages import dense, features, view
 
 # Points are detected in a view that is coarser by the map's scale factor to a whole power: its
@@ -69,7 +69,8 @@ class QueryPreprocessor:
         painting = Deferred(partial(view.make_view, frame, self._painter, gray=True))
         extraction = Deferred(partial(self._extract, painting))
         masks = None if frame.mask is not None else [self._masks]
-        prepared = assemble(frame, views, painting, extraction, masks)
+        pyramids = Deferred.of(make_pyramids(views, masks))
+        prepared = assemble(frame, pyramids, painting, extraction)
         return replace(prepared, finer=Deferred(partial(self.full.prepare, frame)))
 
     def _extract(self, painting: Deferred[View]) -> Features:

@@ -19,6 +19,9 @@ _MIN_OVERLAP_OF_THIRD = 0.4
 # Share of the informative patches that must agree with the motion of a frame that fits no map: half
 # of a hand before the lens agrees with one [benchmarks/kidnap.py: up to 0.52].
 _MIN_CONFIRMED_OF_LOST = 0.6
+# What a frame shares with a keyframe is less by up to this where its borders are left out: within
+# it, it may become a keyframe, which is not tracked sparsely [benchmarks/streaming.py: 0.013].
+_MARGIN_OF_OVERLAP = 0.015
 
 
 class Tracker:
@@ -80,6 +83,25 @@ class Tracker:
         if any(result.link is not None for result in results):
             return results
         return results + self._track_by_pixels(prepared, before)
+
+    def track_sparsely(self, prepared: PreparedFrame) -> RegistrationResult | None:
+        """Register a frame to the newest keyframe by its sparse view; None where that fails.
+
+        It is tried where the frame is expected to show little new, by what is known of how the
+        robot moves, and the camera does not rock.
+        """
+        options, tracking = self._options, self._tracking
+        sparse = prepared.sparse.value
+        if sparse is None or not tracking.keyframes or not (options.dense and options.refine):
+            return None
+        newest = tracking.keyframes[-1]
+        prior = self._motion_model.prior(newest, prepared)
+        if prior is None or camera_tilt.is_shown(tracking.tilts_radians, options):
+            return None
+        expected = dense.overlap(newest.levels[1], sparse.second, prior.a_from_b)
+        if expected < options.keyframe_overlap + _MARGIN_OF_OVERLAP:
+            return None
+        return direct.track_sparsely(newest, prepared, sparse, self._calibration, options, prior)
 
     def is_keyframe(self, results: list[RegistrationResult]) -> bool:
         """Keyframe selection: a frame becomes one that shares little floor with the keyframes.

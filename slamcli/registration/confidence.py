@@ -16,7 +16,7 @@ import numpy as np
 
 from slamcli.core.arrays import Float64Array
 from slamcli.core.records import FeatureAlignment
-from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair, same_motion
+from slamcli.registration.hypothesis import MotionHypothesis
 
 # Names of the evidence, each about 0 to 1, and its weight in the log-odds that a motion is right
 # [fitted by benchmarks/score.py; the table of benchmarks/README.md checks it].
@@ -69,9 +69,10 @@ class Decision:
 def evidence(
     fit: MotionHypothesis,
     alignment: FeatureAlignment,
-    pair: PyramidPair,
     range_metres: float,
     decision: Decision,
+    *,
+    agrees: bool,
 ) -> Float64Array:
     """Return (K + 1,) evidence about a motion: in the order of `EVIDENCE`, then the rivals left.
 
@@ -80,14 +81,14 @@ def evidence(
     fit : MotionHypothesis
     alignment : FeatureAlignment
         Of the features alone.
-    pair : PyramidPair
     range_metres : float
         How far the camera sees.
     decision : Decision
+    agrees : bool
+        Whether the features alone show the same motion.
     """
     agreement, rival = fit.agreement, decision.rival
     inliers = math.log1p(alignment.inlier_count) / math.log1p(_MANY_INLIERS)
-    agrees = alignment.pose is not None and same_motion(alignment.pose, fit.pose, pair)
     share = max(math.sqrt(fit.max_variance) / range_metres, 1e-12)
     sharpness = min(max(math.log(share) / math.log(_SHARP_SHARE), 0.0), 1.0)
     searched = min(decision.searched_metres / range_metres, 1.0)

@@ -16,13 +16,15 @@ import numpy as np
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import NO_PERIODS, FeatureAlignment, PreparedFrame
+from slamcli.core.records import NO_PERIODS, FeatureAlignment, PreparedFrame, SparseView
 from slamcli.registration import acceptance, criteria, rivals
 from slamcli.registration.hypothesis import (
     MotionHypothesis,
     PyramidPair,
+    score_agreement,
     score_coarsely,
     score_finely,
+    with_evidence,
 )
 from slamcli.registration.result import ACCEPTED, RegistrationResult
 from slamcli.registration.selection import PairContext
@@ -85,14 +87,7 @@ def track(
     """
     pair = PyramidPair(keyframe.levels, prepared.levels)
     refined = dense.refine(
-        pair.a[:levels],
-        pair.b[:levels],
-        start,
-        calibration,
-        0.0,
-        dense.RefinementAssumptions(
-            suspected_tilt_radians=math.radians(options.tilt_sigma_degrees)
-        ),
+        pair.a[:levels], pair.b[:levels], start, calibration, 0.0, _steady(options)
     )
     if refined is None or not rivals.is_expected(prior, refined.a_from_b):
         return None
@@ -109,6 +104,61 @@ def track(
             return None
     result = context.result(fit, ACCEPTED)
     return None if result.link is None else replace(result, prepared=prepared)
+
+
+def track_sparsely(
+    keyframe: PreparedFrame,
+    prepared: PreparedFrame,
+    sparse: SparseView,
+    calibration: Calibration,
+    options: MapperOptions,
+    prior: dense.MotionPrior,
+) -> RegistrationResult | None:
+    """Return the motion of a frame that shows little new, by its sparse view alone.
+
+    As by `track`, but that its pixels are compared with the keyframe's on the second level. Where
+    that is not enough for certain, because other motions may fit as well or because the frame may
+    become a keyframe, there is no result.
+
+    Parameters
+    ----------
+    keyframe, prepared : PreparedFrame
+    sparse : SparseView
+        Of the frame.
+    calibration : Calibration
+    options : MapperOptions
+    prior : MotionPrior
+
+    Returns
+    -------
+    RegistrationResult or None
+        With a link.
+    """
+    levels = (sparse.finest, sparse.second)
+    refined = dense.refine(
+        keyframe.levels[:2], levels, prior.a_from_b, calibration, 0.0, _steady(options)
+    )
+    if refined is None or not rivals.is_expected(prior, refined.a_from_b):
+        return None
+    fit = score_agreement(keyframe.levels[1], sparse.second, refined)
+    if fit.agreement.overlap < max(options.keyframe_overlap, MIN_OVERLAP_OF_PERIODS):
+        return None
+    # Gray values that agree so well need no evidence of normalised contrast beside them.
+    if not criteria.explained_by_steady_camera(fit):
+        fit = with_evidence(fit, keyframe.levels[1], sparse.second)
+    shared = replace(prepared, periodicity=NO_PERIODS)
+    context = PairContext(keyframe, shared, _NO_ALIGNMENT, calibration, options, 0.0, prior)
+    if not _explains_all(context, fit) or context.suggested(fit):
+        return None
+    result = context.result(fit, ACCEPTED)
+    return None if result.link is None else replace(result, prepared=prepared)
+
+
+def _steady(options: MapperOptions) -> dense.RefinementAssumptions:
+    """Return that the camera is steady, unless the residuals suggest that it rocked."""
+    return dense.RefinementAssumptions(
+        suspected_tilt_radians=math.radians(options.tilt_sigma_degrees)
+    )
 
 
 def _explains_all(context: PairContext, fit: MotionHypothesis) -> bool:

@@ -122,18 +122,36 @@ def score_coarsely(pair: PyramidPair, refined: dense.PhotometricFit) -> MotionHy
 
     Where there is no rival that its evidence would be compared with; else `score_finely` follows.
     """
-    pose, views = refined.a_from_b, refined.view_a_from_view_b
-    middle = dense.evidence(pair.a[1], pair.b[1], pose, views)
+    agreement = dense.agreement(pair.a[0], pair.b[0], refined.view_a_from_view_b)
+    return with_evidence(_without_evidence(refined, agreement), pair.a[1], pair.b[1])
+
+
+def score_agreement(
+    a: PyramidLevel, b: PyramidLevel, refined: dense.PhotometricFit
+) -> MotionHypothesis:
+    """Return a refined motion with the agreement of its gray values on one level, no evidence."""
+    return _without_evidence(refined, dense.agreement(a, b, refined.view_a_from_view_b))
+
+
+def _without_evidence(
+    refined: dense.PhotometricFit, agreement: dense.Agreement
+) -> MotionHypothesis:
     return MotionHypothesis(
-        pose,
+        refined.a_from_b,
         refined.covariance,
         refined.predicted_covariance,
-        dense.agreement(pair.a[0], pair.b[0], views),
-        middle.evidence,
-        middle.correlation,
-        views,
+        agreement,
+        0.0,
+        -1.0,
+        refined.view_a_from_view_b,
         refined.rocking_suspected,
     )
+
+
+def with_evidence(fit: MotionHypothesis, a: PyramidLevel, b: PyramidLevel) -> MotionHypothesis:
+    """Return a motion with its evidence on one level."""
+    middle = dense.evidence(a, b, fit.pose, fit.view_a_from_view_b)
+    return replace(fit, evidence=middle.evidence, correlation=middle.correlation)
 
 
 def score_finely(pair: PyramidPair, fit: MotionHypothesis) -> MotionHypothesis:

@@ -5,37 +5,59 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.deferred import Deferred
-from slamcli.core.records import Features, Frame, PreparedFrame, View
+from slamcli.core.records import (
+    NO_SPARSE_VIEW,
+    Features,
+    Frame,
+    PreparedFrame,
+    Pyramids,
+    SparseView,
+    View,
+)
 from slamcli.stages import dense
 
 LevelMasks = tuple[dense.LevelMask, ...]
 
 
-def assemble(
-    frame: Frame,
-    views: Sequence[View],
-    painting: Deferred[View],
-    extraction: Deferred[Features],
-    level_masks: Sequence[LevelMasks] | None = None,
-) -> PreparedFrame:
-    """Return a frame with its views' pyramids; its features and periods when they are needed.
+def make_pyramids(
+    views: Sequence[View], level_masks: Sequence[LevelMasks] | None = None
+) -> Pyramids:
+    """Return the pyramids of a frame's views that are compared.
 
     Parameters
     ----------
-    frame : Frame
     views : sequence of View
         Gray, from `make_compared_views`: the near one, and the far one when the camera sees
         farther.
-    painting : Deferred of View
-        The gray view that features are detected in.
-    extraction : Deferred of Features
-        Of that view.
     level_masks : sequence or None
         From `make_level_masks` of each view's mask, where that was done before.
     """
     known: Sequence[LevelMasks | None] = level_masks or [None] * len(views)
     levels, *far = [dense.make_levels(one, mask) for one, mask in zip(views, known, strict=True)]
+    return Pyramids(levels, far[0] if far else ())
+
+
+def assemble(
+    frame: Frame,
+    pyramids: Deferred[Pyramids],
+    painting: Deferred[View],
+    extraction: Deferred[Features],
+    sparse: Deferred[SparseView | None] = NO_SPARSE_VIEW,
+) -> PreparedFrame:
+    """Return a frame with its pyramids, its features and its periods when they are needed.
+
+    Parameters
+    ----------
+    frame : Frame
+    pyramids : Deferred of Pyramids
+    painting : Deferred of View
+        The gray view that features are detected in.
+    extraction : Deferred of Features
+        Of that view.
+    sparse : Deferred of SparseView or None
+    """
     return PreparedFrame(
         frame.index,
         frame.name,
@@ -43,7 +65,11 @@ def assemble(
         painting,
         extraction,
         "",
-        levels,
-        far[0] if far else (),
-        Deferred(partial(dense.find_periods, levels)),
+        pyramids,
+        sparse,
+        Deferred(partial(_periods, pyramids)),
     )
+
+
+def _periods(pyramids: Deferred[Pyramids]) -> Float64Array:
+    return dense.find_periods(pyramids.value.near)

@@ -344,6 +344,9 @@ class PairContext:
             ambiguous or rival > self.options.max_rival_evidence,
             verdict.outcome in ("rejected", "inconclusive") and not ambiguous,
         )
-        pair = PyramidPair(self.keyframe.levels, self.prepared.levels)
+        found = self.alignment.pose
+        agrees = found is not None and same_motion(
+            found, fit.pose, PyramidPair(self.keyframe.levels, self.prepared.levels)
+        )
         range_metres = self.calibration.max_range_metres
-        return confidence.evidence(fit, self.alignment, pair, range_metres, decision)
+        return confidence.evidence(fit, self.alignment, range_metres, decision, agrees=agrees)

@@ -63,6 +63,8 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     features = preprocessing.features
     monkeypatch.setattr(features, "extract", counting("extract", features.extract))
     monkeypatch.setattr(align, "align", counting("align", align.align))
+    view = preprocessing.view
+    monkeypatch.setattr(view, "make_compared_views", counting("views", view.make_compared_views))
     monkeypatch.setattr(dense, "refine", counting("refine", dense.refine))
     monkeypatch.setattr(dense, "find_periods", counting("periods", dense.find_periods))
     monkeypatch.setattr(cv2, "warpPerspective", counting("warp", cv2.warpPerspective))
@@ -114,8 +116,9 @@ def test_only_keyframes_have_features_and_most_frames_take_few_kernels(
         assert counted["refine"] == 1
         # Of the picture for the agreement, and of its contrast for the correlation.
         assert counted["warp"] == 2
-        # The details of three levels, and the contrast of one.
-        assert counted["blur"] <= 4
+        # The picture and its halves, and the detail and the contrast of the second level alone.
+        assert counted["blur"] <= 5
+        assert counted["views"] == 0
     assert calls["refine"] <= 2 * FRAMES
     # Of each keyframe, and of the second frame, which is registered without an expected motion.
     assert calls["periods"] <= len(keyframes) + 1
@@ -142,6 +145,60 @@ def test_what_is_expected_to_be_needed_is_computed_ahead_and_changes_nothing(
     assert ahead["extract"] == len(mapper._database.keyframes) - 2 >= 2
     assert ahead["periods"] == ahead["extract"]
     assert late["periods"] <= 3
+
+
+def test_a_frame_is_placed_alike_whether_its_pyramids_are_made_before_or_when_needed(
+    photographer: photograph.Photographer, pictures: list[np.ndarray]
+) -> None:
+    black = np.zeros_like(pictures[0])
+    shown = [*pictures[:6], black, *pictures[7:]]
+    lazy, eager = Mapper(photographer.calibration), Mapper(photographer.calibration)
+    for index, picture in enumerate(shown):
+        frame = Frame(index, str(index), None, picture)
+        one, other = lazy.update(frame), eager.step(eager.prepare(frame))
+        assert (one.status, one.reason) == (other.status, other.reason)
+        assert one.map_from_robot == other.map_from_robot
+    assert lazy.estimates[6].status == "lost"
+    assert "black" in lazy.estimates[6].reason
+
+
+@pytest.mark.parametrize(
+    ("change", "placed"),
+    [
+        ({}, True),
+        # Expected 3 mm and 20 sigmas off.
+        ({"off_metres": 0.003}, False),
+        # It shows too much new to be sure that it becomes no keyframe.
+        ({"keyframe_overlap": 0.99}, False),
+        # The floor looks the same within the expected motion's sigma.
+        ({"period_metres": 0.0003}, False),
+    ],
+)
+def test_a_sparse_view_places_what_is_expected_shows_little_new_and_has_no_rival(
+    photographer: photograph.Photographer,
+    pictures: list[np.ndarray],
+    change: dict[str, float],
+    placed: bool,
+) -> None:
+    mapper = Mapper(photographer.calibration)
+    first, second = (
+        mapper.prepare(Frame(index, str(index), None, picture))
+        for index, picture in enumerate(pictures[:2])
+    )
+    if "period_metres" in change:
+        period = np.array([[change["period_metres"], 0.0]])
+        first = replace(first, periodicity=Deferred.of(period))
+    expected = Pose2(STEP_METRES + change.get("off_metres", 0.0), 0.0, TURN_RADIANS)
+    prior = dense.MotionPrior(expected, np.diag([0.00015, 0.00015, 0.002]) ** 2)
+    options = MapperOptions(keyframe_overlap=change.get("keyframe_overlap", 0.7))
+    sparse = second.sparse.value
+    assert sparse is not None
+    result = direct.track_sparsely(first, second, sparse, photographer.calibration, options, prior)
+    assert (result is not None) == placed
+    if result is not None and result.link is not None:
+        error = Pose2(STEP_METRES, 0.0, TURN_RADIANS).inverse() @ result.link.a_from_b
+        assert error.translation_length < 0.0001
+        assert abs(math.degrees(error.theta)) < 0.02
 
 
 def test_a_robot_that_drives_back_is_tracked_by_the_keyframes_that_see_its_floor(

@@ -8,14 +8,22 @@ import numpy as np
 import pytest
 from hand_made_records import alignment_of, fit_of, pair_of
 
+from slamcli.core.arrays import Float64Array
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import FeatureAlignment
 from slamcli.registration import confidence
-from slamcli.registration.hypothesis import MotionHypothesis
+from slamcli.registration.hypothesis import MotionHypothesis, same_motion
 
 PAIR = pair_of()
 HERE = Pose2(0.05)
 FEW = alignment_of(0)
+
+
+def all_evidence_of(
+    fit: MotionHypothesis, alignment: FeatureAlignment, decision: confidence.Decision
+) -> Float64Array:
+    agrees = alignment.pose is not None and same_motion(alignment.pose, fit.pose, PAIR)
+    return confidence.evidence(fit, alignment, 2.0, decision, agrees=agrees)
 
 
 def evidence_of(
@@ -24,8 +32,7 @@ def evidence_of(
     rival: float = math.nan,
     searched_metres: float = 0.0,
 ) -> dict[str, float]:
-    decision = confidence.Decision(rival, searched_metres)
-    found = confidence.evidence(fit, alignment, PAIR, 2.0, decision)
+    found = all_evidence_of(fit, alignment, confidence.Decision(rival, searched_metres))
     return dict(zip(confidence.EVIDENCE, found[:-1].tolist(), strict=True))
 
 
@@ -52,9 +59,7 @@ def test_the_score_is_the_logistic_of_the_weighted_evidence() -> None:
 def test_a_rival_that_is_left_takes_half_of_the_probability() -> None:
     fit, alignment = fit_of(HERE, correlation=0.99, confirmed=1.0), alignment_of(1000, HERE)
     scores = [
-        confidence.score(
-            confidence.evidence(fit, alignment, PAIR, 2.0, confidence.Decision(0.1, 0.0, left))
-        )
+        confidence.score(all_evidence_of(fit, alignment, confidence.Decision(0.1, 0.0, left)))
         for left in (False, True)
     ]
     assert scores[0] > 0.99
@@ -65,9 +70,7 @@ def test_a_motion_that_was_refused_scores_less() -> None:
     fit, alignment = fit_of(HERE, correlation=0.6, confirmed=0.5), alignment_of(30, HERE)
     scores = [
         confidence.score(
-            confidence.evidence(
-                fit, alignment, PAIR, 2.0, confidence.Decision(0.5, 0.3, False, refused)
-            )
+            all_evidence_of(fit, alignment, confidence.Decision(0.5, 0.3, False, refused))
         )
         for refused in (False, True)
     ]

@@ -13,7 +13,7 @@ from hand_made_records import alignment_of, fit_of, pair_of
 from slamcli.core.config import MapperOptions
 from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import FeatureAlignment, Features, PreparedFrame
+from slamcli.core.records import FeatureAlignment, Features, PreparedFrame, Pyramids
 from slamcli.registration import (
     RegistrationResult,
     confidence,
@@ -58,9 +58,8 @@ def frame_of(index: int, *, far: bool = False, repeats: bool = False) -> Prepare
         None,
         Deferred.of(NO_FEATURES),
         "",
-        levels,
-        far_levels,
-        Deferred.of(shifts),
+        Deferred.of(Pyramids(levels, far_levels)),
+        periodicity=Deferred.of(shifts),
     )
 
 

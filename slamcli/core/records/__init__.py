@@ -3,11 +3,15 @@
 from slamcli.core.records.features import DescriptorNorm, FeatureAlignment, Features, Keypoints
 from slamcli.core.records.frames import (
     NO_PERIODS,
+    NO_SPARSE_VIEW,
     Frame,
     Keyframe,
     NormalisedDetail,
     PreparedFrame,
     PyramidLevel,
+    Pyramids,
+    SampledLevel,
+    SparseView,
     Template,
     View,
 )
@@ -16,6 +20,7 @@ from slamcli.core.records.mosaic import FloorEvidence, PosedFrame, Tile
 
 __all__ = [
     "NO_PERIODS",
+    "NO_SPARSE_VIEW",
     "DescriptorNorm",
     "FeatureAlignment",
     "Features",
@@ -31,6 +36,9 @@ __all__ = [
     "PosedFrame",
     "PreparedFrame",
     "PyramidLevel",
+    "Pyramids",
+    "SampledLevel",
+    "SparseView",
     "Status",
     "Template",
     "Tile",

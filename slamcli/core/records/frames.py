@@ -165,15 +165,81 @@ class PyramidLevel:
         return self.contrast.value.energy
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledLevel:
+    """The finest level of a view that is not painted: read from the picture at single places.
+
+    Attributes
+    ----------
+    pixel_from_metres : (3, 3) float64
+        Robot frame to this level's pixels.
+    metres_per_pixel : float
+    mask : (h, w) uint8
+        255 where floor is seen.
+    inside : (h, w) uint8
+        255 where the detail and its gradient are free of the mask's border.
+    places : (h, w, 3) float32
+        Column and row of the frame's picture at which each pixel is seen, and how many times the
+        picture is halved until its pixels are as coarse as the level's.
+    pictures : tuple of (H, W) uint8
+        The frame's picture, smoothed, halved as many times as its number.
+    around : (h / 2, w / 2) float32
+        The mean brightness around each pixel of the second level.
+    """
+
+    pixel_from_metres: Float64Array
+    metres_per_pixel: float
+    mask: UInt8Array
+    inside: UInt8Array
+    places: Float32Array
+    pictures: tuple[UInt8Array, ...]
+    around: Float32Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SparseView:
+    """A view of which only what tracking compares is made.
+
+    Attributes
+    ----------
+    finest : SampledLevel
+    second : PyramidLevel
+        Painted at its own resolution.
+    """
+
+    finest: SampledLevel
+    second: PyramidLevel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pyramids:
+    """The image pyramids of a frame's views that are compared, or why there are none.
+
+    Attributes
+    ----------
+    near : tuple of PyramidLevel
+        None when the frame could not be used.
+    far : tuple of PyramidLevel
+        Of a coarser view of the floor beyond; empty where the camera sees no farther.
+    reason : str
+        Why the frame could not be used; empty when it could.
+    """
+
+    near: tuple[PyramidLevel, ...] = ()
+    far: tuple[PyramidLevel, ...] = ()
+    reason: str = ""
+
+
 NO_PERIODS: Deferred[Float64Array] = Deferred.of(np.empty((0, 2)))
+NO_PYRAMIDS: Deferred[Pyramids] = Deferred.of(Pyramids())
+NO_SPARSE_VIEW: Deferred[SparseView | None] = Deferred.of(None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedFrame:
     """A frame prepared for registration: all that can be computed without any other frame.
 
-    Its pyramids are made; the view of its features, these, and the periods of its floor are
-    computed when they are first needed.
+    Its views, its features and the periods of its floor are computed when they are first needed.
 
     Attributes
     ----------
@@ -185,11 +251,11 @@ class PreparedFrame:
     extraction : Deferred of Features, or None
         None when the frame could not be used.
     reason : str
-        Why the frame could not be used; empty when it could.
-    levels : tuple of PyramidLevel
-        Of the view that is compared, which is coarser; none when the frame could not be used.
-    far_levels : tuple of PyramidLevel
-        Of a coarser view of the floor beyond; empty where the camera sees no farther.
+        Why the frame could not be used, as far as is known; empty when it could.
+    pyramids : Deferred of Pyramids
+        Of the views that are compared, which are coarser.
+    sparse : Deferred of SparseView or None
+        Of the near one; None when the frame could not be used, has a mask of its own or was stored.
     periodicity : Deferred of (K, 2) float64
         Shifts, metres in the robot's axes, by which the view looks like itself.
     digest : bytes
@@ -204,11 +270,21 @@ class PreparedFrame:
     painting: Deferred[View] | None
     extraction: Deferred[Features] | None
     reason: str = ""
-    levels: tuple[PyramidLevel, ...] = ()
-    far_levels: tuple[PyramidLevel, ...] = ()
+    pyramids: Deferred[Pyramids] = NO_PYRAMIDS
+    sparse: Deferred[SparseView | None] = NO_SPARSE_VIEW
     periodicity: Deferred[Float64Array] = NO_PERIODS
     digest: bytes = b""
     finer: Deferred[PreparedFrame] | None = None
+
+    @property
+    def levels(self) -> tuple[PyramidLevel, ...]:
+        """The near pyramid, made when it is first needed; empty when the frame cannot be used."""
+        return self.pyramids.value.near
+
+    @property
+    def far_levels(self) -> tuple[PyramidLevel, ...]:
+        """The far pyramid, likewise; empty too where the camera sees no farther."""
+        return self.pyramids.value.far
 
     @property
     def view(self) -> View | None:

@@ -17,7 +17,7 @@ from slamcli.core.geometry import Grid
 from slamcli.core.records import FeatureAlignment, Features, Frame, PreparedFrame, View
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.registration import RegistrationResult, register
-from slamcli.registration.preparation import assemble
+from slamcli.registration.preparation import assemble, make_pyramids
 from slamcli.stages import align, dense, features, local_correlation, view
 
 # Least correlation of the two pictures under a fit, the median over small windows of the overlap
@@ -235,7 +235,8 @@ def _prepared(index: int, picture: PairImage, found: Features) -> PreparedFrame:
     """Return a bird's-eye picture as the mapper would register it."""
     frame = replace(picture.frame, index=index)
     views = compared_views(picture, far=True)
-    return assemble(frame, views, Deferred.of(picture.view), Deferred.of(found))
+    pyramids = Deferred.of(make_pyramids(views))
+    return assemble(frame, pyramids, Deferred.of(picture.view), Deferred.of(found))
 
 
 def search_pair(first: PairImage, second: PairImage, fit: PairFit) -> PairFit:

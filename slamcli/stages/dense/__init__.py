@@ -25,10 +25,16 @@ from slamcli.stages.dense.pyramid import (
     make_level_masks,
     make_levels,
 )
+from slamcli.stages.dense.sparse_view import (
+    FloorReading,
+    make_sparse_view,
+    smoothed_pictures,
+)
 
 __all__ = [
     "Agreement",
     "Candidate",
+    "FloorReading",
     "LevelMask",
     "MotionPrior",
     "ObstacleMask",
@@ -46,9 +52,11 @@ __all__ = [
     "keep_agreeing_points",
     "make_level_masks",
     "make_levels",
+    "make_sparse_view",
     "overlap",
     "own_marks",
     "patch_votes",
     "refine",
     "search",
+    "smoothed_pictures",
 ]

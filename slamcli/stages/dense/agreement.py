@@ -11,7 +11,7 @@ import numpy as np
 
 from slamcli.core.arrays import BoolArray, Float32Array, Float64Array
 from slamcli.core.geometry import Pose2, apply_homography, invert
-from slamcli.core.records import PyramidLevel
+from slamcli.core.records import PyramidLevel, SampledLevel
 from slamcli.stages.dense.warping import warp_onto
 
 _MIN_SHARED_PIXELS = 200
@@ -56,7 +56,7 @@ class Agreement:
     confirmed: float
 
 
-def overlap(a: PyramidLevel, b: PyramidLevel, a_from_b: Pose2) -> float:
+def overlap(a: PyramidLevel, b: PyramidLevel | SampledLevel, a_from_b: Pose2) -> float:
     """Return the share of b's floor that a sees too, estimated from every eighth pixel."""
     rows, columns = np.nonzero(b.mask[::_OVERLAP_STEP, ::_OVERLAP_STEP])
     pixels_b = _OVERLAP_STEP * np.column_stack([columns, rows])

@@ -14,8 +14,8 @@ import numpy as np
 
 from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.core.geometry import Pose2, invert
-from slamcli.core.records import PyramidLevel
-from slamcli.stages.dense import pyramid
+from slamcli.core.records import PyramidLevel, SampledLevel
+from slamcli.stages.dense import pyramid, sparse_view
 
 _MIN_INFORMATION = 1e-8
 # Information below this many sigmas of what noise adds up to is taken for none: two, and gradients
@@ -41,6 +41,8 @@ _PRIOR_BLOCKS = 2.0
 # determines a direction alone would make it open [the sample, NEES of links 8.4 without, 5.1].
 _LEVERAGE_POINTS = 2000
 _LEVERAGE_SHARE = 0.9
+# Points at which a level that is read at single places is read anew for its gradients.
+_SPARSE_GRADIENTS = 1500
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,9 +87,25 @@ class NormalEquations:
     weight: Float64Array
     prior: Float64Array
 
+    def sampled(self, count: int) -> NormalEquations:
+        """Return the equations of some of the points, evenly taken, which represent all."""
+        step = -(-len(self.points) // count)
+        some = slice(None, None, step)
+        return NormalEquations(
+            self.state,
+            self.slopes[:, some],
+            self.places.part(some),
+            self.points[some],
+            self.residual[some],
+            self.weight[some] * step,
+            self.prior,
+        )
+
 
 def covariances_of(
-    b: PyramidLevel, solved: NormalEquations, along_edges: Float64Array | None = None
+    b: PyramidLevel | SampledLevel,
+    solved: NormalEquations,
+    along_edges: Float64Array | None = None,
 ) -> tuple[Float64Array, Float64Array] | None:
     """Return the (3, 3) covariance of the motion, predicted and as the residuals show it.
 
@@ -97,21 +115,22 @@ def covariances_of(
 
     Parameters
     ----------
-    b : PyramidLevel
+    b : PyramidLevel or SampledLevel
     solved : NormalEquations
     along_edges : (K, N) float64 or None
         The slopes, if the gradients were turned by a right angle; None for a steady camera, of
         whose motions no two have most in common.
     """
     central = _about_the_middle(solved)
-    products = _products(b, solved, along_edges)
-    found = _seen_information(products, central, len(solved.points))
+    some = solved.sampled(_SPARSE_GRADIENTS) if isinstance(b, SampledLevel) else solved
+    products = _products(b, some, along_edges)
+    found = _seen_information(products, central, len(some.points))
     if found is None:
         return None
     seen, scales = found
     prior = central.T @ solved.prior @ central * scales
     inverse = invert(seen + prior + _MIN_INFORMATION * np.eye(len(seen)))
-    scores = _score_covariance(blocks(b, solved.points), solved, products.own)
+    scores = _score_covariance(blocks(b, some.points), some, products.own)
     scores = central.T @ scores @ central * scales
     predicted = (inverse * scales)[:3, :3]
     shown = (inverse @ (scores + prior) @ inverse * scales)[:3, :3]
@@ -165,13 +184,13 @@ class _Products:
 
 
 def _products(
-    b: PyramidLevel, solved: NormalEquations, along_edges: Float64Array | None
+    b: PyramidLevel | SampledLevel, solved: NormalEquations, along_edges: Float64Array | None
 ) -> _Products:
     points, count = solved.points, len(solved.slopes)
-    right, up = pyramid.slopes(b.detail, b.metres_per_pixel)
+    right, up = sparse_view.slopes_at(b, solved.places)
     both = np.empty((count + 3, len(points)))
     both[:count] = solved.slopes
-    both[count], both[count + 1] = -solved.places.sample(right), -solved.places.sample(up)
+    both[count], both[count + 1] = -right, -up
     both[count + 2] = both[count + 1] * points[:, 0] - both[count] * points[:, 1]
     products = (both * solved.weight) @ both.T
     # Gain, offset and rocking change the residuals alike in either.
@@ -207,7 +226,7 @@ def _seen_information(
     return (vectors * np.maximum(values - chance, 0.0)) @ vectors.T, scales
 
 
-def blocks(b: PyramidLevel, points: Float64Array) -> Int64Array:
+def blocks(b: PyramidLevel | SampledLevel, points: Float64Array) -> Int64Array:
     """Return (N,): the number of the block of the view that each of (N, 2) points lies in."""
     side = _BLOCK_PIXELS * b.metres_per_pixel
     column, row = (np.floor(places / side).astype(np.int64) for places in points.T)

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from slamcli.core.arrays import Float64Array
-from slamcli.core.records import PyramidLevel, Template
-from slamcli.stages.dense import pyramid
+from slamcli.core.records import PyramidLevel, SampledLevel, Template
+from slamcli.stages.dense import sparse_view
 from slamcli.stages.dense.covariance import FitState
 from slamcli.stages.dense.photometric_residuals import (
     MIN_TEMPLATE_PIXELS,
@@ -31,21 +31,32 @@ _MAX_LOST_SHARE = 0.02
 # what is kept correlate by more than the second [guarded by benchmarks/courses.py].
 _MAX_CORRELATION_OF_NOISE = 0.5
 _MIN_CORRELATION_OF_FLOOR = 0.5
+# Points by which that is found where few are to be enough.
+_SPARSE_POINTS = 1500
 
 
 def without_noise(
-    a: PyramidLevel, b: PyramidLevel, model: WarpModel, state: FitState
+    a: PyramidLevel,
+    b: PyramidLevel | SampledLevel,
+    model: WarpModel,
+    state: FitState,
+    *,
+    sparse: bool = False,
 ) -> PyramidLevel:
     """Return view a's level without its weak points, where both views show only noise in them.
 
     Parameters
     ----------
-    a, b : PyramidLevel
+    a : PyramidLevel
+    b : PyramidLevel or SampledLevel
     model : WarpModel
     state : FitState
         Where the strong points of the two levels overlap already.
+    sparse : bool
+        Whether fewer points are to be enough for that.
     """
-    least = _least_strength(sampled(a), b, model, state)
+    some = sampled(a, _SPARSE_POINTS) if sparse else sampled(a)
+    least = _least_strength(some, b, model, state)
     return a if least is None else a.part(_strength(a.template.value) >= least)
 
 
@@ -56,7 +67,7 @@ def _strength(template: Template) -> Float64Array:
 
 
 def _least_strength(
-    a: PyramidLevel, b: PyramidLevel, model: WarpModel, state: FitState
+    a: PyramidLevel, b: PyramidLevel | SampledLevel, model: WarpModel, state: FitState
 ) -> float | None:
     """Return the squared gradient below which points show only noise; None where none do."""
     strength = _strength(a.template.value)
@@ -67,8 +78,7 @@ def _least_strength(
     linear = LevelResiduals.of(a, b, model).linearise(state)
     if linear is None:
         return None
-    right, up = pyramid.slopes(b.detail, b.metres_per_pixel)
-    in_b = np.stack([-linear.places.sample(right), -linear.places.sample(up)])
+    in_b = -np.stack(sparse_view.slopes_at(b, linear.places))
     shared = (linear.slopes[:2] * in_b).sum(axis=0)
     shown = strength[linear.places.chosen]
     order = np.argsort(shown, kind="stable")

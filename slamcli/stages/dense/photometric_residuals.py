@@ -10,8 +10,8 @@ import numpy as np
 from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import Pose2, apply_homography, invert
-from slamcli.core.records import PyramidLevel
-from slamcli.stages.dense import pyramid, rocking
+from slamcli.core.records import PyramidLevel, SampledLevel
+from slamcli.stages.dense import pyramid, rocking, sparse_view
 from slamcli.stages.dense.covariance import FitState
 
 MIN_TEMPLATE_PIXELS = 200
@@ -20,9 +20,9 @@ MIN_TEMPLATE_PIXELS = 200
 _SAMPLE_POINTS = 4000
 
 
-def sampled(level: PyramidLevel) -> PyramidLevel:
+def sampled(level: PyramidLevel, count: int = _SAMPLE_POINTS) -> PyramidLevel:
     """Return a level with some of its points, evenly taken; itself where these are few."""
-    step = -(-len(level.points) // _SAMPLE_POINTS)
+    step = -(-len(level.points) // count)
     return level.part(slice(None, None, step)) if step > 1 else level
 
 
@@ -127,14 +127,16 @@ class LevelResiduals:
     """
 
     a: PyramidLevel
-    b: PyramidLevel
+    b: PyramidLevel | SampledLevel
     model: WarpModel
     shown_from_floor: Float64Array
     shifts_a: Float64Array
     reach_metres: float
 
     @classmethod
-    def of(cls, a: PyramidLevel, b: PyramidLevel, model: WarpModel) -> LevelResiduals:
+    def of(
+        cls, a: PyramidLevel, b: PyramidLevel | SampledLevel, model: WarpModel
+    ) -> LevelResiduals:
         """Return the residuals of two levels, with what is the same for every state."""
         shown_from_floor = rocking.shown_from_floor_by_each(model.calibration, model.sigmas)
         shifts_a = rocking.shifts(shown_from_floor, a.points)
@@ -155,7 +157,7 @@ class LevelResiduals:
             shifts_b = rocking.shifts(self.shown_from_floor, self.points(state, chosen))
             by_rocking = rocking.slopes(of_template[:2], -slopes[:2], shifts_a, shifts_b)
             slopes = np.concatenate([slopes, by_rocking])
-        residual = places.sample(self.b.detail) - values
+        residual = sparse_view.detail_at(self.b, places) - values
         return Linearisation(slopes, residual, places, float(values.std()))
 
     def points(self, state: FitState, chosen: Int64Array) -> Float64Array:

@@ -245,12 +245,27 @@ def _detail(image: UInt8Array, level_mask: LevelMask) -> Float32Array:
     would show the lens's vignetting, which does not move when the robot does.
     """
     seen = level_mask.seen
-    brightness = cv2.multiply(cv2.LUT(image, _BRIGHTNESS + _DARK), seen)
+    brightness = cv2.multiply(brightness_of(image), seen)
     around = cv2.divide(cv2.blur(brightness, _HIGH_PASS_SIZE), level_mask.share)
-    around = np.maximum(around, _DARK)
+    around = at_least_dark(np.asarray(around, np.float32))
     contrast = cv2.divide(brightness, around, scale=float(_GRAY_PER_CONTRAST))
     contrast = cv2.scaleAdd(seen, -float(_GRAY_PER_CONTRAST), contrast)
     return np.asarray(cv2.GaussianBlur(contrast, (3, 3), 0), np.float32)
+
+
+def brightness_of(image: UInt8Array) -> Float32Array:
+    """Return the power of light of gray levels, a share of white's, and what is added to it."""
+    return np.asarray(cv2.LUT(image, _BRIGHTNESS + _DARK), np.float32)
+
+
+def at_least_dark(brightness: Float32Array) -> Float32Array:
+    """Return mean brightness as contrast is taken to it."""
+    return np.maximum(brightness, _DARK)
+
+
+def contrast_of(brightness: Float32Array, around: Float32Array) -> Float32Array:
+    """Return contrast, in gray levels, of brightness to what is around it."""
+    return _GRAY_PER_CONTRAST * (brightness / around - np.float32(1.0))
 
 
 def noise_gain(image: UInt8Array) -> Float32Array:
@@ -294,7 +309,7 @@ class Places:
     chosen: Int64Array
 
     @classmethod
-    def of(cls, pixels: Float64Array) -> Places:
+    def of(cls, pixels: Float64Array | Float32Array) -> Places:
         """Return (2, N) columns and rows as places, all of interest."""
         count = pixels.shape[1]
         rows = -(-count // _REMAP_COLUMNS)
@@ -306,6 +321,11 @@ class Places:
         """Return the places all around which a mask (h, w) is 255."""
         seen = cv2.remap(picture, self.maps[0], self.maps[1], cv2.INTER_LINEAR)
         return Places(self.maps, np.flatnonzero(np.asarray(seen).ravel() == 255))
+
+    def part(self, some: slice) -> Places:
+        """Return some of the places of interest, alone."""
+        chosen = self.chosen[some]
+        return Places.of(self.maps.reshape(2, -1)[:, chosen])
 
     def sample(self, image: Float32Array) -> Float64Array:
         """Return (N,) values of a picture (h, w) there; 0 outside."""

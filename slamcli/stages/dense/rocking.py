@@ -11,7 +11,7 @@ from slamcli.core.arrays import Float64Array, Int64Array
 from slamcli.core.camera.calibration import CACHED_CALIBRATIONS, Calibration
 from slamcli.core.camera.mounting import image_from_robot_homography
 from slamcli.core.geometry import apply_homography
-from slamcli.core.records import PyramidLevel
+from slamcli.core.records import PyramidLevel, SampledLevel
 from slamcli.stages.dense.covariance import FitState, NormalEquations, blocks
 
 # A robot that rocks by a radian bounces by this many times its camera's height
@@ -130,7 +130,10 @@ def exceeds_sigmas(state: FitState, sigmas: Float64Array) -> bool:
 
 
 def explains_residuals(
-    b: PyramidLevel, solved: NormalEquations, calibration: Calibration, tilt_sigma_radians: float
+    b: PyramidLevel | SampledLevel,
+    solved: NormalEquations,
+    calibration: Calibration,
+    tilt_sigma_radians: float,
 ) -> bool:
     """Return whether rocking would explain much of a steady camera's residuals.
 
@@ -140,7 +143,7 @@ def explains_residuals(
 
     Parameters
     ----------
-    b : PyramidLevel
+    b : PyramidLevel or SampledLevel
     solved : NormalEquations
         Of a steady camera's refinement on that level.
     calibration : Calibration
