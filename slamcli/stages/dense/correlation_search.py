@@ -120,11 +120,7 @@ def search(
     seen = float(min(cv2.countNonZero(a.inside), cv2.countNonZero(b.inside)))
     least = max(min_overlap * seen, _MIN_PIXELS)
     middle = _middle_of(weight_b)
-    height, width = values_a.shape
-    shape = (
-        fft.next_fast_len(height + values_b.shape[0], real=True),
-        fft.next_fast_len(width + values_b.shape[1], real=True),
-    )
+    shape = _shape_of_shifts(a, b, window, middle, least)
     first = _transforms(values_a, weight_a, shape)
     energy = a.energy, b.energy
     allowed = _allowed(a, window, middle, shape)
@@ -290,16 +286,53 @@ def _evidence(correlation: float | Float32Array, pixels: float | Float32Array) -
     return np.asarray(-np.log1p(-(bounded**2)) * pixels)
 
 
+def _shape_of_shifts(
+    a: PyramidLevel,
+    b: PyramidLevel,
+    window: SearchWindow,
+    middle: tuple[float, float],
+    min_pixels: float,
+) -> tuple[int, int]:
+    """Return the rows and columns of transforms in which no shift of interest wraps around.
+
+    Of pictures of n pixels, shifts of up to m need n + m. Of interest are those within the window
+    that leave an overlap of `min_pixels`.
+    """
+    height, width = (
+        max(*sides) for sides in zip(a.normalised.shape, b.normalised.shape, strict=True)
+    )
+    # One more: where shifts wrap around, the overlaps of two are then together too small.
+    rows = max(math.ceil(height - min_pixels / width), 0) + 1
+    columns = max(math.ceil(width - min_pixels / height), 0) + 1
+    if not math.isinf(window.radius_metres):
+        row, column = _middle_of_window(a, window, middle)
+        radius = window.radius_metres / a.metres_per_pixel
+        rows = min(rows, math.ceil(abs(row) + radius))
+        columns = min(columns, math.ceil(abs(column) + radius))
+    return (
+        fft.next_fast_len(height + rows, real=True),
+        fft.next_fast_len(width + columns, real=True),
+    )
+
+
+def _middle_of_window(
+    a: PyramidLevel, window: SearchWindow, middle: tuple[float, float]
+) -> tuple[float, float]:
+    """Return the rows and columns by which a window's centre shifts the middle of b's view."""
+    seen = apply_homography(invert(a.pixel_from_metres), np.array([middle]))
+    there = apply_homography(a.pixel_from_metres, window.centre.apply(seen))[0]
+    return float(there[1] - middle[1]), float(there[0] - middle[0])
+
+
 def _allowed(
     a: PyramidLevel, window: SearchWindow, middle: tuple[float, float], shape: tuple[int, int]
 ) -> BoolArray:
     """Return which translations of the middle of b's view lie within the window."""
     if math.isinf(window.radius_metres):
         return np.ones(shape, np.bool_)
-    seen = apply_homography(invert(a.pixel_from_metres), np.array([middle]))
-    there = apply_homography(a.pixel_from_metres, window.centre.apply(seen))[0]
-    rows = _signed(np.arange(shape[0]), shape[0])[:, None] - (there[1] - middle[1])
-    columns = _signed(np.arange(shape[1]), shape[1])[None, :] - (there[0] - middle[0])
+    row, column = _middle_of_window(a, window, middle)
+    rows = _signed(np.arange(shape[0]), shape[0])[:, None] - row
+    columns = _signed(np.arange(shape[1]), shape[1])[None, :] - column
     inside: BoolArray = np.hypot(rows, columns) <= window.radius_metres / a.metres_per_pixel
     return inside
 
