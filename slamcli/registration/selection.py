@@ -11,7 +11,7 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2, wrap_angle
 from slamcli.core.records import FeatureAlignment, Link, PreparedFrame
-from slamcli.registration import acceptance, confidence, criteria, hypotheses, rivals
+from slamcli.registration import acceptance, confidence, criteria, hypotheses, open_motion, rivals
 from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair, same_motion
 from slamcli.registration.marks import RepeatMarks
 from slamcli.registration.result import RegistrationResult, Verdict
@@ -104,6 +104,7 @@ class PairContext:
         verdict = Verdict.of(rejection)
         if is_open and not rejection:
             verdict = Verdict("partial", unobservable)
+            best = self._open_motion(pair, best)
         return self.result(best, verdict, rival, search)
 
     def _candidates(
@@ -159,6 +160,15 @@ class PairContext:
         return acceptance.check_observable(
             fit, self.calibration.max_range_metres, options, backed=backed
         )
+
+    def _open_motion(self, pair: PyramidPair, fit: MotionHypothesis) -> MotionHypothesis:
+        """Return an open motion where it is expected, with the covariance that shows it open."""
+        if not self._check_observable(replace(fit, covariance=fit.predicted_covariance)):
+            # The residuals alone show it; in the other directions gradients are on the safe side.
+            fit = replace(fit, predicted_covariance=fit.predicted_covariance + fit.covariance)
+        if self.prior is None:
+            return fit
+        return open_motion.where_expected(pair, fit, self.prior, self.calibration, self.options)
 
     def _rival(
         self, pair: PyramidPair, best: MotionHypothesis, others: Sequence[MotionHypothesis]
