@@ -445,5 +445,20 @@ def test_a_line_is_an_obstacle_and_a_field_is_not() -> None:
     assert not found[40].any()
 
 
+def test_a_strip_across_a_tile_is_covered_by_windows_that_it_mostly_fills() -> None:
+    rows, columns = np.indices((88, 88))
+    strip = np.abs(rows - columns) < 5
+    windows = blend.views.windows_around(strip)
+    covered = np.zeros(strip.shape, np.int64)
+    for window in windows:
+        covered[window.cells] += 1
+    inner = slice(tiles.MARGIN_CELLS, -tiles.MARGIN_CELLS)
+    assert (covered[inner, inner][strip[inner, inner]] == 1).all()
+    assert covered.max() == 1
+    assert covered.sum() < 0.35 * 64**2
+    assert len(windows) <= 16
+    assert blend.views.windows_around(np.zeros_like(strip)) == []
+
+
 def test_blends_are_by_name() -> None:
     assert list(blend.BLENDS) == ["best", "feather", "multiband", "median", "mean"]

@@ -72,9 +72,8 @@ def tiles_under(outline: Float64Array, metres_per_pixel: float) -> list[TileKey]
     inward = np.column_stack([-edges[:, 1], edges[:, 0]])
     area = float(np.sum(outline[:, 0] * edges[:, 1] - outline[:, 1] * edges[:, 0]))
     inward *= 1.0 if area >= 0 else -1.0
-    touched = np.ones(columns.shape, np.bool_)
-    for start, normal in zip(outline, inward, strict=True):
-        touched &= ((corners - start) @ normal).max(axis=0) >= 0
+    farthest = (corners @ inward.T).max(axis=0) - np.einsum("ni,ni->n", outline, inward)
+    touched = (farthest >= 0).all(axis=-1)
     return [
         TileKey(-int(line) - 1, int(column))
         for column, line in zip(columns[touched], lines[touched], strict=True)

@@ -129,6 +129,8 @@ def _cover(
     for number in numbers[needed[numbers]]:
         covered |= _outline(grid, posed_frames[number])
     for number in numbers[~needed[numbers]][::-1]:
+        if covered.all():
+            return
         seen = _outline(grid, posed_frames[number])
         if cv2.erode(seen & ~covered, around).any():
             needed[number] = True

@@ -16,7 +16,7 @@ from slamcli.stages.mosaic.blend.views import (
     enlarged,
     feathered,
     weighted_mean,
-    window_around,
+    windows_around,
 )
 from slamcli.stages.mosaic.channels import three_channels
 from slamcli.stages.mosaic.tiles import TILE_PIXELS
@@ -44,17 +44,16 @@ def blend_best(views: Views) -> Blended:
     pixels_per_metre = np.zeros_like(share)
     for number in np.unique(label[label >= 0]):
         own = (label == number).astype(np.float32)
-        window = window_around(dilated(own, SPARE_CELLS) > 0)
-        if window is None:
-            continue
-        read = views.read(int(number), window)
-        alpha = feathered(own, window) * (read.weight > 0)
-        part = window.pixels
-        colour = cv2.add(read.image, enlarged(corrections[number], window), dtype=cv2.CV_32F)
-        cv2.accumulateProduct(colour, three_channels(alpha), total[part])
-        share[part] += alpha
-        here = pixels_per_metre[part]
-        np.maximum(here, read.pixels_per_metre, out=here, where=alpha > 0)
+        # Between cells, what a view may claim reaches half a cell farther.
+        for window in windows_around(dilated(own, SPARE_CELLS + 1) > 0):
+            read = views.read(int(number), window)
+            alpha = feathered(own, window) * (read.weight > 0)
+            part = window.pixels
+            colour = cv2.add(read.image, enlarged(corrections[number], window), dtype=cv2.CV_32F)
+            cv2.accumulateProduct(colour, three_channels(alpha), total[part])
+            share[part] += alpha
+            here = pixels_per_metre[part]
+            np.maximum(here, read.pixels_per_metre, out=here, where=alpha > 0)
     resolution = np.where(share > 0, pixels_per_metre, np.float32(0.0))
     return Blended(weighted_mean(total, share), resolution)
 

@@ -17,6 +17,9 @@ from slamcli.stages.mosaic.tiles import CELL_PIXELS, MARGIN_CELLS
 # its own; there it counts this little [guarded by benchmarks/blends.py].
 SPARE_CELLS = 2
 _SPARE_SHARE = np.float32(1e-3)
+# Windows that less of is filled are halved, down to this side: each takes a time of its own
+# [benchmarks/stages.py].
+_MIN_FILLED_SHARE, _MIN_SIDE_CELLS = 0.6, 8
 # How much steeper than linear feathering is: a seam is one cell wide at 1, half a cell at 2
 # [guarded by benchmarks/blends.py].
 _STEEPNESS = 2.0
@@ -98,12 +101,45 @@ def best_view(weights: Float32Array) -> IntpArray:
 def window_around(cells: BoolArray) -> CellWindow | None:
     """Return the smallest window of the tile proper around some cells; None when none is in it."""
     inner = cells[MARGIN_CELLS:-MARGIN_CELLS, MARGIN_CELLS:-MARGIN_CELLS]
-    rows, columns = np.flatnonzero(inner.any(axis=1)), np.flatnonzero(inner.any(axis=0))
+    return _tightened(CellWindow(0, 0, *inner.shape), inner)
+
+
+def windows_around(cells: BoolArray) -> list[CellWindow]:
+    """Return windows that cover the cells of the tile proper, few and mostly filled by them.
+
+    What a view sees best is often a narrow strip across the tile, whose smallest window is mostly
+    of other views.
+    """
+    open_windows, found = [window_around(cells)], list[CellWindow]()
+    while open_windows:
+        window = open_windows.pop()
+        if window is None:
+            continue
+        inside = cells[window.cells]
+        if inside.mean() >= _MIN_FILLED_SHARE or max(inside.shape) < 2 * _MIN_SIDE_CELLS:
+            found.append(window)
+            continue
+        row, column, height, width = window.row, window.column, window.height, window.width
+        if height >= width:
+            half = height // 2
+            first = CellWindow(row, column, half, width)
+            second = CellWindow(row + half, column, height - half, width)
+        else:
+            half = width // 2
+            first = CellWindow(row, column, height, half)
+            second = CellWindow(row, column + half, height, width - half)
+        open_windows += [_tightened(part, cells[part.cells]) for part in (second, first)]
+    return found
+
+
+def _tightened(window: CellWindow, cells: BoolArray) -> CellWindow | None:
+    """Return the smallest part of a window around its cells; None when it has none."""
+    rows, columns = np.flatnonzero(cells.any(axis=1)), np.flatnonzero(cells.any(axis=0))
     if rows.size == 0:
         return None
     return CellWindow(
-        int(rows[0]),
-        int(columns[0]),
+        window.row + int(rows[0]),
+        window.column + int(columns[0]),
         int(rows[-1] - rows[0]) + 1,
         int(columns[-1] - columns[0]) + 1,
     )
