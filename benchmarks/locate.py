@@ -6,8 +6,9 @@ of lanes, up to a thousand, at known poses; a map of more has each of them again
 over the same floor would see them: so much of its points, each a little elsewhere and with some
 bits of its descriptor turned over, and points of their own. Frames that the map has not seen are
 looked up in it, without a prior and with one, and timed beside `cv2.ORB_create(1000)` of the same
-picture. Processor time on one thread. What is found: a camera drives three lanes over a simulated
-floor; frames at any heading are then looked up, and frames of floor outside the map.
+picture; and a robot is followed along a lane. Processor time on one thread. What is found: a camera
+drives three lanes over a simulated floor; frames at any heading are then looked up, and frames of
+floor outside the map.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Features, FloorMap, Frame, Keyframe, PoseEstimate
 from slamcli.mapping.keyframes import encode_keyframe
-from slamcli.mapping.localizer import Locator
+from slamcli.mapping.localizer import Follower, Locator
 from slamcli.mapping.mapper import Mapper
 from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import CameraOptions, DisturbanceOptions, FloorOptions
@@ -47,9 +48,11 @@ AGAIN_SHARE, AGAIN_SIGMAS, FLIPPED_SHARE = 0.6, 0.5, 0.1
 # Error of a pose that is expected: of odometry between two frames.
 PRIOR_METRES, PRIOR_RADIANS = 0.01, math.radians(1.0)
 BARE_POINTS = 1000
+# From frame to frame of a robot that is followed.
+FOLLOWED_METRES = 0.02
 COST_COLUMNS = (
     *("keyframes", "ORB ms", "whole map ms", "ratio", "near ms", "ratio", "outside ms", "ratio"),
-    *("found (whole, near)", "wrong", "false outside"),
+    *("followed ms", "ratio", "found (whole, near, followed)", "wrong", "false outside"),
 )
 
 
@@ -107,6 +110,13 @@ class World:
             )
             pose = base @ middle @ away @ middle.inverse()
             yield pose, self.take(pose, 10_000 + number)
+
+    def followed(self, count: int) -> Iterator[tuple[Pose2, NDArray[np.uint8]]]:
+        """Yield poses of a robot that swerves along the first lane, and pictures."""
+        for number in range(count):
+            x, swerve = FOLLOWED_METRES * number, 0.1 * FOLLOWED_METRES * number
+            pose = Pose2(x, 0.03 * math.sin(20.0 * swerve), 0.06 * math.cos(20.0 * swerve))
+            yield pose, self.take(pose, 200_000 + number)
 
     def outside(self, count: int) -> Iterator[NDArray[np.uint8]]:
         """Yield pictures of floor outside the map."""
@@ -167,22 +177,18 @@ def field(count: int) -> list[Pose2]:
     return poses
 
 
-def seen_again(
-    like: Features, others: np.ndarray, generator: np.random.Generator
-) -> tuple[Features, Pose2]:
-    """Return a keyframe's features as a later pass sees them; its pose from the keyframe's."""
+def seen_again(like: Features, others: np.ndarray, generator: np.random.Generator) -> Features:
+    """Return a keyframe's features as a later pass at its pose sees them."""
     count = len(like)
     kept = generator.random(count) < AGAIN_SHARE
-    away = Pose2(*generator.normal(0.0, 0.01, 2).tolist(), float(generator.normal(0.0, 0.05)))
-    points = away.inverse().apply(like.points)
-    points = points + AGAIN_SIGMAS * like.sigmas * generator.normal(size=points.shape)
+    points = like.points + AGAIN_SIGMAS * like.sigmas * generator.normal(size=like.points.shape)
     flipped = np.packbits(generator.random((count, 8 * others.shape[1])) < FLIPPED_SHARE, axis=1)
     new = others[generator.integers(len(others), size=count)]
     # Descriptors of nothing on this floor, but distributed as its own are.
     mixed = np.where(generator.random((count, 8 * others.shape[1])) < 0.5, 1, 0).astype(np.uint8)
     new = new ^ np.packbits(mixed, axis=1)
     descriptors = np.where(kept[:, None], like.descriptors ^ flipped, new)
-    return replace(like, points=points, descriptors=descriptors), away
+    return replace(like, points=points, descriptors=descriptors)
 
 
 def overlapping(world: World, count: int) -> FloorMap:
@@ -199,10 +205,10 @@ def overlapping(world: World, count: int) -> FloorMap:
         keyframes.append(encode_keyframe(mapper.prepare(frame)))
     pool = np.concatenate([keyframe.features.descriptors for keyframe in keyframes])
     for number in range(len(poses), count):
-        like = keyframes[number % len(poses)]
-        features, away = seen_again(like.features, pool, generator)
+        like = keyframes[number % FIELD_KEYFRAMES]
+        features = seen_again(like.features, pool, generator)
         keyframes.append(replace(like, index=number, name=str(number), features=features))
-        poses.append(poses[number % len(poses)] @ away)
+        poses.append(poses[number % FIELD_KEYFRAMES])
     estimates = tuple(
         PoseEstimate(index, str(index), None, pose, "tracked", "", 0, np.eye(3) * 1e-6)
         for index, pose in enumerate(poses)
@@ -215,8 +221,10 @@ def cost(world: World, count: int) -> None:
     locator = Locator(overlapping(world, count))
     poses = field(min(count, FIELD_KEYFRAMES))
     generator, orb = np.random.default_rng(9), cv2.ORB_create(BARE_POINTS)
-    seconds: dict[str, list[float]] = {"bare": [], "map": [], "near": [], "outside": []}
-    outcomes = {"map": Outcome(), "near": Outcome()}
+    names = ("bare", "map", "near", "outside", "followed")
+    seconds: dict[str, list[float]] = {name: [] for name in names}
+    outcomes = {"map": Outcome(), "near": Outcome(), "followed": Outcome()}
+    follower = Follower(locator)
 
     def timed(name: str, picture: NDArray[np.uint8], near: Pose2 | None = None) -> PoseEstimate:
         started = time.process_time()
@@ -233,13 +241,18 @@ def cost(world: World, count: int) -> None:
         turn = float(generator.normal(0.0, PRIOR_RADIANS))
         error = Pose2(*generator.normal(0.0, PRIOR_METRES, 2).tolist(), turn)
         outcomes["near"].count(timed("near", picture, pose @ error), pose)
+    for pose, picture in world.followed(COST_FRAMES):
+        started = time.process_time()
+        found = follower.update(picture)
+        seconds["followed"].append(time.process_time() - started)
+        outcomes["followed"].count(found, pose)
     away = [timed("outside", picture) for picture in world.outside(COST_FRAMES // 2)]
     false = sum(found.map_from_robot is not None for found in away)
     bare, *rest = (1e3 * float(np.median(seconds[name])) for name in seconds)
     figures = " | ".join(f"{one:.1f} | {one / bare:.2f}" for one in rest)
-    found = ", ".join(f"{one.right / COST_FRAMES:.0%}" for one in outcomes.values())
+    shares = ", ".join(f"{one.right / COST_FRAMES:.0%}" for one in outcomes.values())
     wrong = sum(one.wrong for one in outcomes.values())
-    print(f"| {count} | {bare:.1f} | {figures} | {found} | {wrong} | {false} |", flush=True)
+    print(f"| {count} | {bare:.1f} | {figures} | {shares} | {wrong} | {false} |", flush=True)
 
 
 def main() -> None:

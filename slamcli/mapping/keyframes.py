@@ -19,7 +19,7 @@ from slamcli.core.errors import FrameError
 from slamcli.core.geometry import Grid
 from slamcli.core.records import Features, Keyframe, PreparedFrame, Pyramids, View
 from slamcli.stages import dense
-from slamcli.stages.place_index import PlaceCandidate, PlaceIndex
+from slamcli.stages.place_index import PlaceCandidate, PlaceIndex, PlaceMatches
 
 # Correlations of a decoded keyframe differ by less than 0.02 from those of the frame.
 # [guarded by tests/mapping/test_loop_closure.py]
@@ -136,6 +136,10 @@ class KeyframeDatabase:
     ) -> list[PlaceCandidate]:
         """Return the keyframes that look like a frame, most votes first."""
         return self._places.query(features, excluded)
+
+    def match(self, features: Features) -> PlaceMatches:
+        """Return the matches of a frame with the keyframes that have most, not yet voted on."""
+        return self._places.match(features)
 
     def decode(self, index: int) -> PreparedFrame:
         """Return a keyframe ready for registration."""

@@ -11,7 +11,7 @@ from slamcli.core.arrays import UInt8Array
 from slamcli.core.config import MapperOptions
 from slamcli.core.failures import FAILURES, logged
 from slamcli.core.geometry import Grid, Pose2
-from slamcli.core.records import FloorMap, Frame, Link, PoseEstimate, PreparedFrame
+from slamcli.core.records import FloorMap, Frame, PoseEstimate, PreparedFrame
 from slamcli.mapping.backend.pose_graph import PoseGraph, lost
 from slamcli.mapping.frame_checks import fault_of_expectation
 from slamcli.mapping.keyframes import KeyframeDatabase
@@ -19,6 +19,7 @@ from slamcli.mapping.locks import ReentrantLock
 from slamcli.mapping.near_keyframes import NearKeyframes
 from slamcli.mapping.query_frames import QueryPreprocessor
 from slamcli.mapping.relocalization import Relocalization, Relocalizer
+from slamcli.registration import RegistrationResult
 from slamcli.registration.rivals import is_expected
 from slamcli.stages import covisibility, dense
 
@@ -30,6 +31,9 @@ _MAX_KEYFRAMES = 2
 _MIN_OVERLAP = 0.4
 # After this many lost frames the robot may be anywhere.
 _MAX_FRAMES_LOST = 10
+
+# A keyframe, and the motion from it to the frame as expected.
+_Expected = tuple[int, dense.MotionPrior]
 
 
 class Locator:
@@ -116,51 +120,55 @@ class Locator:
         if near is not None and (fault := fault_of_expectation(near, sigma)):
             return lost(prepared, fault)
         try:
-            link = None if near is None else self._link_near(prepared, near, sigma)
-            if link is None:
-                found = self._find(prepared)
-                if found.link is None and prepared.finer is not None:
-                    found = self._find(prepared.finer.value)
-                if found.link is None:
-                    return lost(prepared, found.reason)
-                link = found.link
-            return self._graph.predict_pose(prepared, [link])
+            found = self._find(prepared, [] if near is None else self._nearest(near, sigma))
+            if found.link is None:
+                return lost(prepared, found.reason)
+            return self._graph.predict_pose(prepared, [found.link])
         except FAILURES as error:
             return lost(prepared, f"cannot be located: {logged(error)}")
 
-    def _find(self, prepared: PreparedFrame) -> Relocalization:
-        """Return the registration of a frame to the one place of the map that looks like it."""
+    def _nearest(self, near: Pose2, sigma: tuple[float, float]) -> list[_Expected]:
+        """Return the keyframes near an expected pose, each with the motion from it as expected."""
+        metres, radians = sigma
+        covariance = np.diag([metres, metres, radians]) ** 2
+        return [
+            (index, dense.MotionPrior(expected, covariance))
+            for index, expected in self._near.find(near, _MAX_KEYFRAMES, _MIN_OVERLAP)
+        ]
+
+    def _find(self, prepared: PreparedFrame, nearest: Sequence[_Expected]) -> Relocalization:
+        """Register a frame at half the resolution, or else at the full one.
+
+        Both to the nearest keyframes first, and then where it looks like the map.
+        """
+        result = self._track_near(prepared, nearest)
+        if result is None and prepared.finer is not None:
+            result = self._relocalizer.find_by_pixels(prepared, self._graph)
+            if result is None:
+                return self._find(prepared.finer.value, nearest)
+        if result is None and prepared.levels:
+            result = self._register_near(prepared, nearest)
+        if result is not None:
+            return Relocalization(result, "")
         if prepared.features is None:
             return Relocalization(None, prepared.reason)
         candidates = self._relocalizer.query(prepared.features)
         return self._relocalizer.verify(prepared, candidates, self._graph)
 
-    def _link_near(
-        self, prepared: PreparedFrame, near: Pose2, sigma: tuple[float, float]
-    ) -> Link | None:
-        """Return the link from a keyframe near an expected pose; None where none is proven."""
-        metres, radians = sigma
-        covariance = np.diag([metres, metres, radians]) ** 2
-        nearest = [
-            (index, dense.MotionPrior(expected, covariance))
-            for index, expected in self._near.find(near, _MAX_KEYFRAMES, _MIN_OVERLAP)
-        ]
-        link = self._track_near(prepared, nearest)
-        if link is None and prepared.finer is not None:
-            prepared = prepared.finer.value
-            link = self._track_near(prepared, nearest)
-        if link is not None or not nearest or not prepared.levels:
-            return link
-        index, prior = nearest[0]
-        found = self._relocalizer.register_reliably(index, prepared, prior.a_from_b, prior)
-        if found is None or found.link is None:
-            return None
-        return found.link if is_expected(prior, found.link.a_from_b) else None
+    def _register_near(
+        self, prepared: PreparedFrame, nearest: Sequence[_Expected]
+    ) -> RegistrationResult | None:
+        """Register a frame by its features to the nearest keyframe, where that is as expected."""
+        for index, prior in nearest[:1]:
+            found = self._relocalizer.register_reliably(index, prepared, prior.a_from_b, prior)
+            if found is not None and found.link is not None:
+                return found if is_expected(prior, found.link.a_from_b) else None
+        return None
 
     def _track_near(
-        self, prepared: PreparedFrame, nearest: Sequence[tuple[int, dense.MotionPrior]]
-    ) -> Link | None:
-        """Return the link from the first of some keyframes that pixels alone prove."""
+        self, prepared: PreparedFrame, nearest: Sequence[_Expected]
+    ) -> RegistrationResult | None:
+        """Register a frame to the first of some keyframes from which pixels prove its motion."""
         levels = len(prepared.levels)
         for index, prior in nearest if levels else ():
             # It may be off by more pixels of the fine levels than a refinement on them alone makes
@@ -168,7 +176,7 @@ class Locator:
             # [benchmarks/locate.py: 1 cm and 1 degree off].
             result = self._relocalizer.track(index, prepared, prior, levels)
             if result is not None:
-                return result.link
+                return result
         return None
 
 

@@ -14,6 +14,8 @@ from slamcli.stages import covisibility
 # Overlaps are computed of those whose middles are nearest: about a pose in a map that was driven
 # over many times there are hundreds [guarded by benchmarks/locate.py].
 _MAX_COMPARED = 32
+# Overlaps that differ by less are about equal [guarded by benchmarks/locate.py].
+_EQUAL_SHARES = 0.1
 
 
 class NearKeyframes:
@@ -55,7 +57,10 @@ class NearKeyframes:
         close = close[np.argsort(squared[close], kind="stable")[:_MAX_COMPARED]]
         motions = relative_poses(self._poses[close], here)
         shares = self._footprint.overlaps(motions)
-        best = np.argsort(-shares, kind="stable")[:count]
+        # Of about equal ones the earliest, so that the next frame of a robot that moves a little is
+        # registered to the same, which is decoded already.
+        rounded = np.round(shares / _EQUAL_SHARES)
+        best = np.lexsort((close, -rounded))[:count]
         return [
             (self._indices[close[number]], Pose2(*motions[number].tolist()))
             for number in best

@@ -22,10 +22,11 @@ from slamcli.registration.preparation import assemble, make_pyramids
 from slamcli.stages import dense, features, view
 
 # Points are detected in a view that is coarser by the map's scale factor to a whole power: its
-# levels are then those of the keyframes, without the finest
-# [benchmarks/locate.py: 17 votes at least of 10,000 keyframes at 1.73, 10 at 2.07].
+# levels are then those of the keyframes, without the finest. Of the points that votes need, 50 or
+# more agree with the motion, where 36 are required
+# [benchmarks/locate.py: 16 votes at least of 10,000 keyframes at 1.73, 10 at 2.07].
 _MAX_COARSER = 1.75
-_MAX_POINTS = 300
+_MAX_POINTS = 200
 
 
 class QueryPreprocessor:
@@ -64,6 +65,7 @@ class QueryPreprocessor:
         return prepared_or_refused(frame, self._calibration, self._prepare)
 
     def _prepare(self, frame: Frame) -> PreparedFrame:
+        frame = replace(frame, image=view.to_gray(frame.image))
         views = view.make_compared_views(frame, [self._resampler])
         view.check_view(views[0])
         painting = Deferred(partial(view.make_view, frame, self._painter, gray=True))

@@ -30,7 +30,7 @@ from slamcli.registration import (
 )
 from slamcli.registration.hypothesis import PyramidPair
 from slamcli.registration.marks import RepeatMarks
-from slamcli.stages import dense
+from slamcli.stages import covisibility, dense
 from slamcli.stages.place_index import PlaceCandidate
 
 # Multiple of the usual least number of inliers, and least correlation of the overlap's pixels.
@@ -45,6 +45,9 @@ _MIN_CONFIRMED_BY_MANY = 0.5
 # [benchmarks/locate.py: about 30 ms a frame with 100 to 10,000 keyframes]
 _MAX_PLACES = 4
 _MAX_KEYFRAMES_OF_A_PLACE = 2
+# Keyframes with most matches to which a frame is registered by pixels
+# [guarded by benchmarks/locate.py].
+_MAX_TRACKED = 3
 # Two candidates that put the frame nearer than this, as a share of the range and in radians, are of
 # one place; more for each keyframe between them, as a map drifts. [guarded by benchmarks/locate.py]
 _SAME_SHARE_OF_RANGE = 0.1
@@ -53,6 +56,8 @@ _DRIFT_PER_KEYFRAME = 0.01
 # One sigma of the heading that votes put a frame at; of its place, a pixel of the coarsest level
 # [benchmarks/locate.py: 2 mm at most].
 _VOTED_RADIANS = 0.01
+# That is within a pixel of the finest level.
+_VOTED_LEVELS = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +98,7 @@ class Relocalizer:
         self._calibration = calibration
         # Floor that is seen again may lie at any angle.
         self._options = replace(options, max_turn_degrees=180.0)
+        self._footprint = covisibility.Footprint(calibration)
 
     def query(
         self, features: Features, excluded: frozenset[int] = frozenset()
@@ -184,7 +190,7 @@ class Relocalizer:
             return None
         return replace(result, link=replace(result.link, kind="loop"))
 
-    def track_votes(
+    def _track_votes(
         self, candidate: PlaceCandidate, prepared: PreparedFrame
     ) -> RegistrationResult | None:
         """Register a frame by pixels alone where votes put it; None unless features agree too.
@@ -194,12 +200,52 @@ class Relocalizer:
         level = prepared.levels[-1]
         sigmas = (level.metres_per_pixel, level.metres_per_pixel, _VOTED_RADIANS)
         prior = dense.MotionPrior(candidate.keyframe_from_now, np.diag(sigmas) ** 2)
-        result = self.track(candidate.keyframe, prepared, prior, len(prepared.levels))
+        try:
+            result = self.track(candidate.keyframe, prepared, prior, _VOTED_LEVELS)
+        except FrameError:  # the keyframe's pictures, from a damaged map
+            return None
         if result is None or not result.correlation >= _MIN_CORRELATION:
             return None
         least = _MIN_INLIERS_FACTOR * self._options.matching.min_inliers
         count = count_features(result, self._calibration, self._options)
         return result if count >= least else None
+
+    def find_by_pixels(
+        self, prepared: PreparedFrame, graph: PoseGraphReader
+    ) -> RegistrationResult | None:
+        """Register a frame where the keyframes with most matches put it, by pixels alone.
+
+        None unless no other place of the map looks like it at all.
+        """
+        assert prepared.features is not None
+        matches = self.database.match(prepared.features)
+        placed = [n for n, k in enumerate(matches.keyframes) if graph.is_placed(k)]
+        first = [c for n in placed[:_MAX_TRACKED] if (c := matches.vote(n)) is not None]
+        first.sort(key=lambda candidate: -candidate.votes)
+        tracked = (self._track_votes(candidate, prepared) for candidate in first)
+        result = next(filter(None, tracked), None)
+        if result is None or result.link is None:
+            return None
+        end = result.link.a, result.link.a_from_b
+        rest = (
+            matches.vote(number)
+            for number in placed[_MAX_TRACKED:]
+            if not self._see_alike(matches.keyframes[number], end, graph)
+        )
+        others = [candidate for candidate in rest if candidate is not None]
+        for candidate in (*first, *others):
+            if not self._same_pose(end, (candidate.keyframe, candidate.keyframe_from_now), graph):
+                return None
+        return result
+
+    def _see_alike(self, keyframe: int, end: tuple[int, Pose2], graph: PoseGraphReader) -> bool:
+        """Return whether a keyframe sees much of what a frame at its pose in another sees."""
+        a, a_from_now = end
+        if graph[keyframe].fragment != graph[a].fragment:
+            return False
+        centre = Pose2(*self._footprint.centre.tolist())
+        apart = (graph.pose(a) @ a_from_now @ centre).inverse() @ graph.pose(keyframe) @ centre
+        return apart.translation_length < self._footprint.radius_metres
 
     def verify(
         self,
@@ -207,10 +253,7 @@ class Relocalizer:
         candidates: Sequence[PlaceCandidate],
         graph: PoseGraphReader,
     ) -> Relocalization:
-        """Register a frame to the places that candidates propose; accept one place or none.
-
-        By pixels alone where the frame's pyramid is of half the resolution.
-        """
+        """Register a frame to the places that candidates propose; accept one place or none."""
         places: list[list[PlaceCandidate]] = []
         for candidate in candidates:
             if not graph.is_placed(candidate.keyframe):
@@ -242,12 +285,9 @@ class Relocalizer:
     ) -> RegistrationResult | None:
         for candidate in place[:_MAX_KEYFRAMES_OF_A_PLACE]:
             try:
-                if prepared.finer is not None:
-                    result = self.track_votes(candidate, prepared)
-                else:
-                    result = self.register_reliably(
-                        candidate.keyframe, prepared, candidate.keyframe_from_now
-                    )
+                result = self.register_reliably(
+                    candidate.keyframe, prepared, candidate.keyframe_from_now
+                )
             except FrameError:  # the keyframe's pictures, from a damaged map
                 continue
             if result is not None:

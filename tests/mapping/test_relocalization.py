@@ -149,17 +149,20 @@ def test_half_the_resolution_decides_nothing_on_a_floor_that_repeats() -> None:
     truth = Pose2(0.05, 0.01, 0.2)
     image = take(floor.photographer, truth, 9)
     prepared = QueryPreprocessor(floor.camera, floor.options).prepare(Frame(9, "9", None, image))
-    candidates = relocalizer.query(prepared.features)
-    found = relocalizer.verify(prepared, candidates, graph)
+    found = relocalizer.find_by_pixels(prepared, graph)
+    assert found is not None
     assert found.link is not None
     assert (truth.inverse() @ found.link.a_from_b).translation_length < 0.0005
     # Neither where it repeats, nor where fewer features agree than without pixels are required.
     keyframe = relocalizer.database.decode_halved(0)
     keyframe.periodicity._value = np.array([[0.1, 0.0]])
-    assert relocalizer.verify(prepared, candidates, graph).link is None
+    assert relocalizer.find_by_pixels(prepared, graph) is None
     keyframe.periodicity._value = np.empty((0, 2))
     few = replace(prepared, extraction=Deferred.of(first_of(prepared.features, 30)))
-    assert relocalizer.verify(few, candidates, graph).link is None
+    assert relocalizer.find_by_pixels(few, graph) is None
+    # Nor where another place of the map looks like it too.
+    twice, graph = floor.map({Pose2(): Pose2(), Pose2(0.01): Pose2(4.0)})
+    assert twice.find_by_pixels(prepared, graph) is None
 
 
 def first_of(features: Features, count: int) -> Features:

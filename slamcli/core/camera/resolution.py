@@ -99,9 +99,10 @@ def resolution_image(calibration: Calibration) -> Float32Array:
 
 def _fill_band(calibration: Calibration, rows_read: Float32Array, band: Float32Array) -> None:
     """Fill some rows of a resolution image, which are all zero."""
-    columns, rows = np.meshgrid(np.arange(band.shape[1], dtype=np.float32), rows_read)
+    # A row and a column, for numpy to spread: the products are then a few, not all pixels'.
+    columns, rows = np.arange(band.shape[1], dtype=np.float32)[None], rows_read[:, None]
     if np.any(calibration.distortion):
-        columns, rows = undistorted_coordinates(calibration, columns, rows)
+        columns, rows = undistorted_coordinates(calibration, *np.broadcast_arrays(columns, rows))
     inverse = calibration.robot_from_image.astype(np.float32)
     x, y, w = (row[0] * columns + row[1] * rows + row[2] for row in inverse)
     reach = np.float32(_RANGE_MARGIN * calibration.max_range_metres)

@@ -113,7 +113,8 @@ def make_levels(
     level_masks : sequence of LevelMask or None
         From `make_level_masks` of the view's mask, where that was done before.
     max_points : int or None
-        Of each level's template, evenly sampled of those that it has otherwise.
+        Of the finest level's template, evenly sampled of those that it has otherwise; a quarter of
+        them on the next, as it has a quarter of the pixels.
     """
     image, pixel_from_metres = view.image, view.grid.pixel_from_metres
     metres_per_pixel = view.grid.metres_per_pixel
@@ -145,7 +146,7 @@ def make_levels(
                         level_mask.weight,
                         pixel_from_metres,
                         metres_per_pixel,
-                        max_points,
+                        None if max_points is None else max_points >> 2 * len(levels),
                     )
                 ),
                 Deferred(partial(_contrast, detail, level_mask, noise_gray)),

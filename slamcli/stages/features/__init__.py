@@ -6,6 +6,8 @@ ORB: Rublee et al., ICCV 2011. SIFT: Lowe, IJCV 60, 2004. The low-pass with a th
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 
@@ -17,6 +19,9 @@ from slamcli.core.geometry import apply_homography
 from slamcli.core.records import Features, Keypoints, View
 from slamcli.stages.features.detectors import METHODS
 from slamcli.stages.features.selection import CLEARANCE_STEP, DetectorInput
+
+# Most cameras' views have one mask.
+_MAX_MASKS = 4
 
 __all__ = [
     "METHODS",
@@ -90,12 +95,21 @@ def prepare(view: View, options: FeatureOptions) -> DetectorInput:
         gray = clean_image(gray, options.clean_kernel_pixels, options.clean_threshold)
     if not options.roi:
         return DetectorInput(gray, view.mask, None)
-    clearance = seen_clearance(view.mask)
-    height, width = gray.shape
-    clear = np.where(clearance > options.roi_border_pixels, np.uint8(255), np.uint8(0))
-    allowed = np.repeat(np.repeat(clear, CLEARANCE_STEP, axis=0), CLEARANCE_STEP, axis=1)
-    allowed = np.ascontiguousarray(allowed[:height, :width])
+    mask = view.mask.tobytes()
+    allowed, clearance = _region_of_interest(mask, view.mask.shape, options.roi_border_pixels)
     return DetectorInput(gray, allowed, clearance)
+
+
+@lru_cache(maxsize=_MAX_MASKS)
+def _region_of_interest(
+    mask: bytes, shape: tuple[int, int], border_pixels: int
+) -> tuple[UInt8Array, Float32Array]:
+    """Return where points may lie in views of one mask, and `seen_clearance` of it."""
+    clearance = seen_clearance(np.frombuffer(mask, np.uint8).reshape(shape))
+    height, width = shape
+    clear = np.where(clearance > border_pixels, np.uint8(255), np.uint8(0))
+    allowed = np.repeat(np.repeat(clear, CLEARANCE_STEP, axis=0), CLEARANCE_STEP, axis=1)
+    return np.ascontiguousarray(allowed[:height, :width]), clearance
 
 
 def clean_image(image: UInt8Array, kernel_pixels: int, threshold: int) -> UInt8Array:

@@ -96,26 +96,32 @@ def _place_on_levels(keypoints: Keypoints, gray: UInt8Array, options: FeatureOpt
     of pixels, so that its true scale differs by up to half a pixel at the far border.
     """
     corners = np.rint(keypoints.pixels / keypoints.scales[:, None]).astype(np.int64)
-    images: list[UInt8Array] = []
-    for octave in range(int(keypoints.octaves.max(initial=-1)) + 1):
-        # OpenCV builds each level from the one before, the enlarged ones from the picture itself.
-        source = gray if octave <= options.first_level else images[-1]
-        images.append(_shrink(source, gray.shape, _orb_scale(options, octave)))
+    octaves = range(int(keypoints.octaves.max(initial=-1)) + 1)
     places, found = corners.astype(np.float64), np.zeros(len(corners), np.bool_)
     if options.refine:
+        images: list[UInt8Array] = []
+        for octave in octaves:
+            # OpenCV builds each level from the one before, enlarged ones from the picture itself.
+            source = gray if octave <= options.first_level else images[-1]
+            images.append(_shrink(source, _level_size(gray, options, octave)))
         places, found = subpixel.refine(images, keypoints.octaves, corners)
     sigma_pixels = np.where(found, _REFINED_SIGMA_PIXELS, _CORNER_SIGMA_PIXELS)
     pixels = np.empty_like(keypoints.pixels)
-    for octave, image in enumerate(images):
-        here = keypoints.octaves == octave
-        pixels[here] = apply_homography(pixel_from_level(gray.shape, image.shape), places[here])
+    for octave in octaves:
+        here, shape = keypoints.octaves == octave, _level_size(gray, options, octave)[::-1]
+        pixels[here] = apply_homography(pixel_from_level(gray.shape, shape), places[here])
     return replace(
         keypoints, pixels=pixels, sigmas=(sigma_pixels * keypoints.scales).astype(np.float32)
     )
 
 
-def _shrink(source: UInt8Array, full_shape: tuple[int, ...], scale: float) -> UInt8Array:
-    size = (round(full_shape[1] / scale), round(full_shape[0] / scale))
+def _level_size(gray: UInt8Array, options: FeatureOptions, octave: int) -> tuple[int, int]:
+    """Return the width and height of one of OpenCV's levels."""
+    scale = _orb_scale(options, octave)
+    return round(gray.shape[1] / scale), round(gray.shape[0] / scale)
+
+
+def _shrink(source: UInt8Array, size: tuple[int, int]) -> UInt8Array:
     if size == source.shape[::-1]:
         return source
     resized = cv2.resize(source, size, interpolation=cv2.INTER_LINEAR_EXACT)

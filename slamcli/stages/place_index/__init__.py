@@ -65,6 +65,29 @@ class PlaceCandidate:
     votes: int
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceMatches:
+    """The keyframes that have most matches with a frame, not yet voted on.
+
+    Attributes
+    ----------
+    keyframes : tuple of int
+        Most matches first.
+    points_a, points_b : tuple of (M, 3) float32
+        Matched points of each keyframe and of the frame, the most similar first: x, y and the
+        larger sigma, metres.
+    """
+
+    keyframes: tuple[int, ...]
+    points_a: tuple[Float32Array, ...]
+    points_b: tuple[Float32Array, ...]
+
+    def vote(self, number: int) -> PlaceCandidate | None:
+        """Return the motion that one keyframe's matches vote for, given its number among them."""
+        found = vote(self.points_a[number], self.points_b[number])
+        return None if found is None else PlaceCandidate(self.keyframes[number], *found)
+
+
 class PlaceIndex:
     """Index of the points of many keyframes by their descriptors.
 
@@ -140,9 +163,16 @@ class PlaceIndex:
         excluded : set of int
             Keyframes to leave out.
         """
+        matches = self.match(features, excluded)
+        votes = map(matches.vote, range(len(matches.keyframes)))
+        candidates = [candidate for candidate in votes if candidate is not None]
+        return sorted(candidates, key=lambda one: (-one.votes, one.keyframe))
+
+    def match(self, features: Features, excluded: frozenset[int] = frozenset()) -> PlaceMatches:
+        """Return the matches that `query` votes on."""
         queried = _strongest(features, _MAX_QUERIED)
         if not self._count or not len(queried):
-            return []
+            return PlaceMatches((), (), ())
         query, entry, difference = self._look_up(_words_of(features, queried))
         owner = self._keyframe_of[entry]
         if excluded:
@@ -151,18 +181,17 @@ class PlaceIndex:
             owner = owner[allowed]
         keyframes, counts = np.unique(owner, return_counts=True)
         many = np.flatnonzero(counts >= MIN_VOTES)
-        most = many[np.lexsort((keyframes[many], -counts[many]))][:_MAX_KEYFRAMES]
+        most = keyframes[many[np.lexsort((keyframes[many], -counts[many]))][:_MAX_KEYFRAMES]]
         points = _points_of(features, queried)
-        candidates = []
-        for keyframe in keyframes[most]:
+        points_a, points_b = [], []
+        for keyframe in most:
             mine = np.flatnonzero(owner == keyframe)
             mine = mine[np.lexsort((entry[mine], difference[mine]))]
             _, once = np.unique(query[mine], return_index=True)
             mine = mine[np.sort(once)][:_MAX_MATCHES]
-            found = vote(self._points[entry[mine]], points[query[mine]])
-            if found is not None:
-                candidates.append(PlaceCandidate(int(keyframe), *found))
-        return sorted(candidates, key=lambda one: (-one.votes, one.keyframe))
+            points_a.append(self._points[entry[mine]])
+            points_b.append(points[query[mine]])
+        return PlaceMatches(tuple(most.tolist()), tuple(points_a), tuple(points_b))
 
     def _choose_bits(self, length: int) -> None:
         generator = np.random.default_rng(self._seed)
