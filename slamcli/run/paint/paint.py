@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -14,7 +14,7 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.footprint import default_metres_per_pixel, footprint_hull
 from slamcli.core.config import ProductOptions
 from slamcli.core.errors import FrameError, InputError
-from slamcli.core.records import PosedFrame, Tile
+from slamcli.core.records import Frame, PosedFrame, Tile
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.io.raster.tile_store import TileStore
 from slamcli.run.paint import budget
@@ -74,7 +74,7 @@ def paint_scene(
         painter.picture_bytes, options.memory_bytes, canvas_bytes, workers
     )
     left = [(key, numbers) for key, numbers in plan if (key.row, key.column) not in store]
-    reader = _PictureReader(painter, scene.files)
+    reader = _PictureReader(painter, scene.files, scene.keep_picture)
     uses = Counter(chain.from_iterable(numbers for _, numbers in left))
     work = partial(_paint, painter, scene.shots, reader, FrameCache(reader, pictures, uses))
     # First some of the middle: their time predicts that of all.
@@ -106,9 +106,15 @@ class _PictureReader:
         Numbers of the frames that could not be; their pictures are blank.
     """
 
-    def __init__(self, painter: Painter, files: Sequence[FrameFile]) -> None:
+    def __init__(
+        self,
+        painter: Painter,
+        files: Sequence[FrameFile],
+        keep_picture: Callable[[Frame], None] | None,
+    ) -> None:
         self._painter = painter
         self._files = files
+        self._keep_picture = keep_picture if painter.halves else None
         self.unread: set[int] = set()
 
     def __call__(self, number: int) -> SourceImage:
@@ -117,6 +123,8 @@ class _PictureReader:
         except FrameError:
             self.unread.add(number)
             return self._painter.blank()
+        if self._keep_picture is not None:
+            self._keep_picture(frame)
         return self._painter.picture(frame, number)
 
 

@@ -9,7 +9,7 @@ from slamcli.core.camera.calibration import Calibration
 from slamcli.core.camera.mounting import rocked
 from slamcli.core.config import Datum, ProductOptions
 from slamcli.core.geometry import Pose2
-from slamcli.core.records import PosedFrame, PoseEstimate
+from slamcli.core.records import Frame, PosedFrame, PoseEstimate
 from slamcli.io.frames import FrameFile
 from slamcli.mapping.backend.pose_graph import placed_fragments
 from slamcli.run.paint.thumbnails import Thumbnails
@@ -35,6 +35,8 @@ class Scene:
         Where the map's origin lies on Earth, as far as measured.
     thumbnails : Thumbnails
         Of the frames decoded before.
+    keep_picture : function or None
+        Called with each frame that is decoded, at half its size, where that does for the map.
     """
 
     calibration: Calibration
@@ -44,6 +46,7 @@ class Scene:
     map_from_painted: Pose2
     datum: Datum | None
     thumbnails: Thumbnails
+    keep_picture: Callable[[Frame], None] | None = None
 
 
 def scenes_of(

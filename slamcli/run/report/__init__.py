@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from slamcli.run.report import page
@@ -16,15 +17,25 @@ from slamcli.run.session.session import Session
 REPORT_NAME = "report.html"
 
 
-def write_report(folder: Path, run: FinishedRun, session: Session) -> tuple[str, ...]:
+def write_report(
+    folder: Path, run: FinishedRun, session: Session, kept: Mapping[int, str] | None = None
+) -> tuple[str, ...]:
     """Write report.html, the same bytes for any number of workers.
+
+    Parameters
+    ----------
+    folder : Path
+    run : FinishedRun
+    session : Session
+    kept : mapping of int to str, or None
+        From `KeptPictures`.
 
     Returns
     -------
     tuple of str
         Names of frames that have a pose but could not be read again.
     """
-    pictures, unread = frame_pictures(run.files, run.estimates, session)
+    pictures, unread = frame_pictures(run.files, run.estimates, session, kept)
     page.write_page(
         folder / REPORT_NAME,
         {

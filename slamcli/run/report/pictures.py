@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import cv2
 
 from slamcli.core.arrays import UInt8Array
 from slamcli.core.errors import FrameError
-from slamcli.core.records import PoseEstimate
+from slamcli.core.records import Frame, PoseEstimate
 from slamcli.io.frames import FrameFile, read_frame
 from slamcli.run.session.session import Session
 
@@ -37,17 +37,51 @@ def shrunk(image: UInt8Array, side: int) -> UInt8Array:
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA)  # type: ignore[return-value]
 
 
+class KeptPictures:
+    """Pictures of frames that are decoded for the map, so that the page need not decode them again.
+
+    May be shared by threads. In another process it keeps none.
+    """
+
+    def __init__(
+        self, files: Sequence[FrameFile] = (), estimates: Sequence[PoseEstimate] = ()
+    ) -> None:
+        chosen = _chosen(files, estimates)
+        self._indices, self._side = {file.index for file in chosen}, _side_of(chosen)
+        self.urls: dict[int, str] = {}
+
+    def __reduce__(self) -> tuple[type[KeptPictures], tuple[()]]:
+        return KeptPictures, ()
+
+    def keep(self, frame: Frame) -> None:
+        """Add a frame's picture, if the page shows it; the frame as `read_frame` halves it."""
+        if frame.index in self._indices:
+            self.urls[frame.index] = data_url(shrunk(frame.image, self._side), _QUALITY)
+
+
 def frame_pictures(
-    files: Sequence[FrameFile], estimates: Sequence[PoseEstimate], session: Session
+    files: Sequence[FrameFile],
+    estimates: Sequence[PoseEstimate],
+    session: Session,
+    kept: Mapping[int, str] | None = None,
 ) -> tuple[dict[str, str], tuple[str, ...]]:
     """Return data URLs by frame index: of all frames, or of many evenly spread ones.
 
     What cannot be read again has none; the names of those that were read before follow.
+
+    Parameters
+    ----------
+    files, estimates : sequences
+    session : Session
+    kept : mapping of int to str, or None
+        From `KeptPictures` of the same frames: by index, those that need not be read again.
     """
-    chosen = _chosen(files, estimates)
-    side = next(side for count, side in _SIDES if len(chosen) <= count)
-    stage = session.on_this_machine().stage("reporting", partial(_picture, side=side), chosen)
-    urls = dict(zip((file.index for file in chosen), stage, strict=True))
+    chosen, known = _chosen(files, estimates), kept or {}
+    left = [file for file in chosen if file.index not in known]
+    work = partial(_picture, side=_side_of(chosen))
+    stage = session.on_this_machine().stage("reporting", work, left)
+    read = dict(zip((file.index for file in left), stage, strict=True))
+    urls = {file.index: known.get(file.index) or read[file.index] for file in chosen}
     unread = tuple(
         file.name
         for file in chosen
@@ -65,6 +99,10 @@ def _chosen(files: Sequence[FrameFile], estimates: Sequence[PoseEstimate]) -> li
     indices = {file.index for file in lost}
     others = [file for file in files if file.index not in indices]
     return sorted([*lost, *_spread(others, _MAX_PICTURES - len(lost))], key=lambda file: file.index)
+
+
+def _side_of(chosen: Sequence[FrameFile]) -> int:
+    return next(side for count, side in _SIDES if len(chosen) <= count)
 
 
 def _spread(files: Sequence[FrameFile], count: int) -> list[FrameFile]:

@@ -17,6 +17,7 @@ from slamcli.run.paint import outputs
 from slamcli.run.paint.outputs import PaintedMaps
 from slamcli.run.paint.scene import scenes_of
 from slamcli.run.report import REPORT_NAME, write_report
+from slamcli.run.report.pictures import KeptPictures
 from slamcli.run.session.session import Session
 from slamcli.run.stitch import (
     exports,
@@ -115,11 +116,13 @@ def stitch_drive(
             located = with_metres(self_calibrate(located, session), control)
             located = on_earth.on_earth(located)
             timing.done("self_calibrating")
-            painted = paint(located, staging, checkpoint, session)
+            pictures = KeptPictures(located.drive.inputs.files, located.estimates)
+            painted = paint(located, staging, checkpoint, session, pictures)
             timing.done("painting")
             write(located, staging, checkpoint, session)
             timing.done("writing")
-            shown = write_report(staging, report.finished(located, painted, command), session)
+            run = report.finished(located, painted, command)
+            shown = write_report(staging, run, session, pictures.urls)
             painted = replace(painted, unshown=shown)
             timing.done("reporting")
             timing.write(staging / TIMING_NAME, located.reached, session)
@@ -153,7 +156,11 @@ def self_calibrate(located: LocatedDrive, session: Session) -> LocatedDrive:
 
 
 def paint(
-    located: LocatedDrive, staging: Path, checkpoint: Checkpoint, session: Session
+    located: LocatedDrive,
+    staging: Path,
+    checkpoint: Checkpoint,
+    session: Session,
+    pictures: KeptPictures,
 ) -> PaintedMaps:
     """Second pass over the frames: from their final poses into the mosaics, in every format."""
     files, products = located.drive.inputs.files, located.drive.options.products
@@ -165,6 +172,7 @@ def paint(
         exports.datums(located.georeferences),
         located.thumbnails,
     )
+    scenes = [replace(scene, keep_picture=pictures.keep) for scene in scenes]
     # More frames would change the poses: a resumed run cannot use the tiles of this one.
     unfinished = staging / "tiles"
     kept = resume.tiles(located.drive.options, checkpoint)

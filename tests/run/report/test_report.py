@@ -15,7 +15,7 @@ import pytest
 
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import PoseEstimate
-from slamcli.io.frames import list_frames
+from slamcli.io.frames import list_frames, read_frame
 from slamcli.run.report import REPORT_NAME, pictures, write_report
 from slamcli.run.report.frames import link_residuals
 from slamcli.run.report.remedies import lost_groups, message_of, remedies
@@ -134,3 +134,9 @@ def test_pictures_are_smaller_the_more_there_are(
     assert len(few) == 4
     assert all(len(many["5"]) < len(url) for url in few.values())
     assert math.isclose(len(few["0"]), len(few["3"]))
+    kept = pictures.KeptPictures(files, estimates)
+    for file in files[::2]:
+        kept.keep(read_frame(file, halved=True))
+        file.path.unlink()
+    assert 3 <= len(kept.urls) < len(many)
+    assert pictures.frame_pictures(files, estimates, Session(), kept.urls)[0] == many
