@@ -13,7 +13,7 @@ from slamcli.stages import covisibility
 
 # Overlaps are computed of those whose middles are nearest: about a pose in a map that was driven
 # over many times there are hundreds [guarded by benchmarks/locate.py].
-_MAX_COMPARED = 32
+_MAX_COMPARED = 16
 # Overlaps that differ by less are about equal [guarded by benchmarks/locate.py].
 _EQUAL_SHARES = 0.1
 
