@@ -22,7 +22,7 @@ from slamcli.stages import dense
 
 # Without a known motion, frames at most this far apart may lie anywhere in each other's view.
 # [guarded by benchmarks/robustness.py]
-_MAX_UNGUIDED_STEPS = 2
+MAX_UNGUIDED_STEPS = 2
 # Sigmas of odometry that a search window adds to the free motion of one step.
 _SEARCHED_SIGMAS = 3.0
 # No window is searched whose radius is a larger multiple of the camera's range: within it pixels
@@ -190,7 +190,7 @@ class MotionModel:
         self, other: PreparedFrame, prepared: PreparedFrame
     ) -> dense.SearchWindow | None:
         """Return a window without bound for frames that follow each other; None for others."""
-        if prepared.index - other.index > _MAX_UNGUIDED_STEPS:
+        if prepared.index - other.index > MAX_UNGUIDED_STEPS:
             return None
         return dense.SearchWindow(angle_radians=self._angle_radians)
 
@@ -199,7 +199,7 @@ class MotionModel:
     ) -> dense.SearchWindow | None:
         """Return a window about `steps` times the latest motion; None when too wide."""
         radius_metres = steps * (self._step_metres + motion.translation_length)
-        if steps > _MAX_UNGUIDED_STEPS and radius_metres > self._max_radius_metres:
+        if steps > MAX_UNGUIDED_STEPS and radius_metres > self._max_radius_metres:
             return None
         predicted = repeated(start, motion, steps)
         return dense.SearchWindow(predicted, self._angle_radians, radius_metres)

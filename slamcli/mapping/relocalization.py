@@ -28,8 +28,7 @@ from slamcli.registration import (
     register,
     register_where_features_agree,
 )
-from slamcli.registration.hypothesis import PyramidPair
-from slamcli.registration.marks import RepeatMarks
+from slamcli.registration.marks import is_unmistakable
 from slamcli.stages import covisibility, dense
 from slamcli.stages.place_index import PlaceCandidate
 
@@ -159,12 +158,8 @@ class Relocalizer:
         return replace(result, link=replace(result.link, kind="loop"))
 
     def _is_unmistakable(self, result: RegistrationResult) -> bool:
-        """Return whether a floor does not repeat, or its marks are where a motion puts them."""
-        periods = result.keyframe.repeats, result.prepared.repeats
-        if result.fit is None or not any(len(shifts) for shifts in periods):
-            return True
-        pair = PyramidPair(result.keyframe.levels, result.prepared.levels)
-        return RepeatMarks(pair, *periods, self._calibration).support(result.fit, alone=True)
+        keyframe, prepared, fit = result.keyframe, result.prepared, result.fit
+        return fit is None or is_unmistakable(keyframe, prepared, fit, self._calibration)
 
     def track(
         self,

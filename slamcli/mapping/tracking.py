@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import PreparedFrame
 from slamcli.mapping import camera_tilt
-from slamcli.mapping.motion_model import MotionModel
+from slamcli.mapping.motion_model import MAX_UNGUIDED_STEPS, MotionModel
 from slamcli.mapping.tracking_state import TrackingState
 from slamcli.registration import RegistrationResult, direct, register
+from slamcli.registration.marks import is_unmistakable
 from slamcli.stages import dense
 
 # A second link confirms the first, however little floor it shares. A third that shares less than
@@ -129,7 +132,27 @@ class Tracker:
         result = register(
             keyframe, prepared, guess, calibration, options, window=window, prior=prior
         )
-        return camera_tilt.without_unusual(result, self._tracking.tilts_radians, options)
+        result = camera_tilt.without_unusual(result, self._tracking.tilts_radians, options)
+        steps = abs(prepared.index - keyframe.index)
+        if prior is None and steps > MAX_UNGUIDED_STEPS:
+            return self._without_mistakable(result)
+        return result
+
+    def _without_mistakable(self, result: RegistrationResult) -> RegistrationResult:
+        """Return a result without its link where the floor looks the same elsewhere.
+
+        A keyframe of another fragment may lie anywhere: what it shows is then a place to be found.
+        """
+        if result.link is None or result.fit is None:
+            return result
+        keyframe, prepared = result.keyframe, result.prepared
+        if is_unmistakable(keyframe, prepared, result.fit, self._calibration):
+            return result
+        reason = (
+            "ambiguous: the floor repeats, and few of its marks are where this motion puts them "
+            f"(to {keyframe.name})"
+        )
+        return replace(result, link=None, reason=reason)
 
     def _by_expected_overlap(self, prepared: PreparedFrame) -> list[PreparedFrame]:
         """Return the latest keyframes: the newest first, unless a robot that turned back left it.

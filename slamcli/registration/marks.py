@@ -14,6 +14,7 @@ from slamcli.core.arrays import Float64Array
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.deferred import Deferred
 from slamcli.core.geometry import invert
+from slamcli.core.records import PreparedFrame
 from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair
 from slamcli.stages import dense
 
@@ -43,6 +44,30 @@ class MarkCount:
     def supports(self, least: int, ratio: float) -> bool:
         """Return whether enough marks are explained, and many times those that are not."""
         return self.explained >= max(least, ratio * self.unexplained)
+
+
+def is_unmistakable(
+    keyframe: PreparedFrame,
+    prepared: PreparedFrame,
+    fit: MotionHypothesis,
+    calibration: Calibration,
+) -> bool:
+    """Return whether a floor does not repeat, or its marks alone are where a motion puts them.
+
+    Required where nothing is known of where a frame lies: any other place that looks the same may
+    be what it shows.
+
+    Parameters
+    ----------
+    keyframe, prepared : PreparedFrame
+    fit : MotionHypothesis
+    calibration : Calibration
+    """
+    periods = keyframe.repeats, prepared.repeats
+    if not any(len(shifts) for shifts in periods):
+        return True
+    pair = PyramidPair(keyframe.levels, prepared.levels)
+    return RepeatMarks(pair, *periods, calibration).support(fit, alone=True)
 
 
 class RepeatMarks:

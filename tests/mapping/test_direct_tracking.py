@@ -21,6 +21,7 @@ from slamcli.core.records import Frame, PreparedFrame
 from slamcli.mapping import preprocessing
 from slamcli.mapping.mapper import Mapper
 from slamcli.registration import align, direct
+from slamcli.registration.marks import RepeatMarks
 from slamcli.simulation import floors, photograph
 from slamcli.simulation.config import CameraOptions
 from slamcli.stages import dense
@@ -199,6 +200,34 @@ def test_a_sparse_view_places_what_is_expected_shows_little_new_and_has_no_rival
         error = Pose2(STEP_METRES, 0.0, TURN_RADIANS).inverse() @ result.link.a_from_b
         assert error.translation_length < 0.0001
         assert abs(math.degrees(error.theta)) < 0.02
+
+
+def test_an_old_frame_is_no_step_on_a_floor_that_repeats_without_marks(
+    monkeypatch: pytest.MonkeyPatch,
+    photographer: photograph.Photographer,
+    pictures: list[np.ndarray],
+) -> None:
+    """Where nothing is known of the motion between, equal places are many."""
+    for repeats, supported, steps, placed in (
+        (False, False, 9, True),
+        (True, True, 9, True),
+        (True, False, 9, False),
+        # Frames that follow one another are near each other.
+        (True, False, 1, True),
+    ):
+        monkeypatch.setattr(RepeatMarks, "support", lambda *_, value=supported, alone=False: value)
+        mapper = Mapper(photographer.calibration, MapperOptions(loops=False))
+        first, second = (
+            mapper.prepare(Frame(index, str(index), None, picture))
+            for index, picture in zip((0, steps), pictures[:2], strict=True)
+        )
+        if repeats:
+            first = replace(first, periodicity=Deferred.of(np.array([[5.0, 0.0]])))
+        mapper.step(first)
+        estimate = mapper.step(second)
+        assert (estimate.status == "tracked") is placed
+        if not placed:
+            assert "few of its marks" in estimate.reason
 
 
 def test_a_robot_that_drives_back_is_tracked_by_the_keyframes_that_see_its_floor(
