@@ -26,6 +26,8 @@ _NO_FILTER, _UP = 0, 2
 _LEVEL, _WINDOW_BITS, _MEMORY_LEVEL = 1, 15, 9
 _STREAM_HEADER, _EMPTY_LAST_BLOCK = b"\x78\x01", b"\x03\x00"
 _ADLER_BASE = 65521
+# Rows that are filtered at a time: of a map 13,000 pixels wide a strip would take 160 MB more.
+_BLOCK_ROWS = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,17 +49,48 @@ class Strip:
     length: int
 
 
-def compress(pixels: UInt8Array) -> Strip:
-    """Compress (h, w, 4) uint8 BGRA rows, without reference to the rows above them."""
-    height, width = pixels.shape[:2]
-    colours = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGRA2RGBA), np.uint8).reshape(height, -1)
-    rows = np.empty((height, 1 + 4 * width), np.uint8)
-    rows[0, 0], rows[1:, 0] = _NO_FILTER, _UP
-    rows[0, 1:] = colours[0]
-    np.subtract(colours[1:], colours[:-1], out=rows[1:, 1:])
+def compress(image: UInt8Array, mask: UInt8Array | None = None) -> Strip:
+    """Compress rows without reference to the rows above them.
+
+    Parameters
+    ----------
+    image : (h, w, 4) uint8 BGRA, or (h, w, 3) BGR
+    mask : (h, w) uint8 or None
+        The opacity of BGR pixels.
+    """
     deflate = zlib.compressobj(_LEVEL, zlib.DEFLATED, -_WINDOW_BITS, _MEMORY_LEVEL)
-    data = deflate.compress(rows.data) + deflate.flush(zlib.Z_FULL_FLUSH)
-    return Strip(data, zlib.adler32(rows.data), rows.size)
+    data, checksum, length = [], zlib.adler32(b""), 0
+    above: UInt8Array | None = None
+    for first in range(0, len(image), _BLOCK_ROWS):
+        block = slice(first, first + _BLOCK_ROWS)
+        colours = _opaque(image[block], None if mask is None else mask[block])
+        rows = _filtered(colours, above)
+        above = colours[-1]
+        data.append(deflate.compress(rows.data))
+        checksum, length = zlib.adler32(rows.data, checksum), length + rows.size
+    data.append(deflate.flush(zlib.Z_FULL_FLUSH))
+    return Strip(b"".join(data), checksum, length)
+
+
+def _opaque(image: UInt8Array, mask: UInt8Array | None) -> UInt8Array:
+    """Return (h, 4 w) uint8: the bytes of RGBA pixels, row by row."""
+    code = cv2.COLOR_BGRA2RGBA if mask is None else cv2.COLOR_BGR2RGBA
+    colours = cv2.cvtColor(image, code)
+    if mask is not None:
+        colours = cv2.insertChannel(mask, colours, 3)
+    return np.asarray(colours, np.uint8).reshape(len(image), -1)
+
+
+def _filtered(colours: UInt8Array, above: UInt8Array | None) -> UInt8Array:
+    """Return rows of a PNG, each after its filter's number: differences to the row above."""
+    rows = np.empty((len(colours), 1 + colours.shape[1]), np.uint8)
+    rows[:, 0] = _UP
+    if above is None:
+        rows[0, 0], rows[0, 1:] = _NO_FILTER, colours[0]
+    else:
+        np.subtract(colours[0], above, out=rows[0, 1:])
+    np.subtract(colours[1:], colours[:-1], out=rows[1:, 1:])
+    return rows
 
 
 def write_png(path: Path, width: int, height: int, strips: Iterable[Strip]) -> None:

@@ -25,7 +25,7 @@ def write_georeferenced_png(path: Path, image: UInt8Array, mask: UInt8Array, gri
     The world file is the affine transform from pixel to metres, its origin at the centre of the
     upper left pixel.
     """
-    png.write_png(path, grid.width, grid.height, [png.compress(transparent(image, mask))])
+    png.write_png(path, grid.width, grid.height, [png.compress(image, mask)])
     write_world_file(path.with_suffix(".pgw"), grid)
 
 

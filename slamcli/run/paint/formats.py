@@ -67,7 +67,7 @@ def _write_strips(
 
 
 def _floor_strip(store: TileStore, grid: Grid) -> png.Strip:
-    return png.compress(world_file.transparent(*store.flatten(grid)))
+    return png.compress(*store.flatten(grid))
 
 
 def _obstacle_strip(store: TileStore, grid: Grid) -> png.Strip:

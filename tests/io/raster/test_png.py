@@ -32,3 +32,7 @@ def test_a_picture_in_strips_is_read_back(tmp_path: Path, cuts: list[int]) -> No
         opened.verify()
     with Image.open(path) as opened:
         assert np.array_equal(np.asarray(opened)[..., [2, 1, 0, 3]], pixels)
+    # Colours and opacity apart are the same bytes.
+    for part in parts:
+        colours, opacity = np.ascontiguousarray(part[..., :3]), np.ascontiguousarray(part[..., 3])
+        assert png.compress(colours, opacity) == png.compress(part)
