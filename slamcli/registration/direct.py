@@ -134,10 +134,10 @@ def track_sparsely(
     RegistrationResult or None
         With a link.
     """
-    levels = (sparse.finest, sparse.second)
-    refined = dense.refine(
-        keyframe.levels[:2], levels, prior.a_from_b, calibration, 0.0, _steady(options)
-    )
+    if keyframe.tracked is None:
+        return None
+    levels, tracked = (sparse.finest, sparse.second), keyframe.tracked.value
+    refined = dense.refine(tracked, levels, prior.a_from_b, calibration, 0.0, _steady(options))
     if refined is None or not rivals.is_expected(prior, refined.a_from_b):
         return None
     fit = score_agreement(keyframe.levels[1], sparse.second, refined)

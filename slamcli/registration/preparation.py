@@ -12,6 +12,7 @@ from slamcli.core.records import (
     Features,
     Frame,
     PreparedFrame,
+    PyramidLevel,
     Pyramids,
     SparseView,
     View,
@@ -68,8 +69,18 @@ def assemble(
         pyramids,
         sparse,
         Deferred(partial(_periods, pyramids)),
+        tracked=Deferred(partial(_tracked, pyramids, sparse)),
     )
 
 
 def _periods(pyramids: Deferred[Pyramids]) -> Float64Array:
     return dense.find_periods(pyramids.value.near)
+
+
+def _tracked(
+    pyramids: Deferred[Pyramids], sparse: Deferred[SparseView | None]
+) -> tuple[PyramidLevel, PyramidLevel]:
+    """Return what sparse views are aligned with."""
+    finest, second = pyramids.value.near[:2]
+    own = sparse.value
+    return finest if own is None else dense.with_detail_of(finest, own.finest), second

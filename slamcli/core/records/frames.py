@@ -260,6 +260,9 @@ class PreparedFrame:
         Shifts, metres in the robot's axes, by which the view looks like itself.
     digest : bytes
         Of the frame's file; empty when there is none or it could not be read.
+    tracked : Deferred of (PyramidLevel, PyramidLevel), or None
+        What sparse views are aligned with: the two finest levels, the points of the first with
+        their detail in the frame's own sparse view.
     finer : Deferred of PreparedFrame, or None
         The same frame at the full resolution, where `levels` are of half of it.
     """
@@ -274,6 +277,7 @@ class PreparedFrame:
     sparse: Deferred[SparseView | None] = NO_SPARSE_VIEW
     periodicity: Deferred[Float64Array] = NO_PERIODS
     digest: bytes = b""
+    tracked: Deferred[tuple[PyramidLevel, PyramidLevel]] | None = None
     finer: Deferred[PreparedFrame] | None = None
 
     @property

@@ -29,6 +29,7 @@ from slamcli.stages.dense.sparse_view import (
     FloorReading,
     make_sparse_view,
     smoothed_pictures,
+    with_detail_of,
 )
 
 __all__ = [
@@ -59,4 +60,5 @@ __all__ = [
     "refine",
     "search",
     "smoothed_pictures",
+    "with_detail_of",
 ]

@@ -36,9 +36,8 @@ _MAX_ITERATIONS = 12
 # has converged, it may be larger: it leaves only a small share of itself
 # [guarded by benchmarks/accuracy.py and benchmarks/streaming.py].
 _CONVERGED_PIXELS, _NEARLY_CONVERGED_PIXELS = 0.003, 0.03
-# Of a sparse view, whose finest level is read from the picture anew at each step
-# [benchmarks/streaming.py, asphalt: 15,000 points to 0.003 pixels err by 15 instead of 17 um].
-_SPARSE_POINTS, _SPARSE_POINTS_OF_SECOND = 5000, 1000
+# Of a sparse view's second level [guarded by benchmarks/streaming.py].
+_SPARSE_POINTS_OF_SECOND = 1000
 _HUBER_SIGMAS = 1.5
 # Residuals whose spread stands for that of all.
 _SPREAD_POINTS = 2000
@@ -204,14 +203,14 @@ def _samples(a: PyramidLevel, *, finest: bool, sparse: bool) -> list[tuple[Pyram
 
     A sample of the points converges first: all of them then take a step or two.
     """
-    if sparse and finest:
-        return [(sampled(a, _SPARSE_POINTS), _NEARLY_CONVERGED_PIXELS)]
-    some = sampled(a, _SPARSE_POINTS_OF_SECOND) if sparse else sampled(a)
+    some = sampled(a, _SPARSE_POINTS_OF_SECOND) if sparse and not finest else sampled(a)
     if not finest:
         return [(some, _NEARLY_CONVERGED_PIXELS)]
+    # A sparse view is read from the picture anew at each step.
+    converged = _NEARLY_CONVERGED_PIXELS if sparse else _CONVERGED_PIXELS
     if some is a:
-        return [(a, _CONVERGED_PIXELS)]
-    return [(some, _NEARLY_CONVERGED_PIXELS), (a, _CONVERGED_PIXELS)]
+        return [(a, converged)]
+    return [(some, _NEARLY_CONVERGED_PIXELS), (a, converged)]
 
 
 def _refine_level(
