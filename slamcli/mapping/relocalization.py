@@ -28,6 +28,7 @@ from slamcli.registration import (
     register,
     register_where_features_agree,
 )
+from slamcli.registration.hypothesis import max_variance
 from slamcli.registration.marks import is_unmistakable
 from slamcli.stages import covisibility, dense
 from slamcli.stages.place_index import PlaceCandidate
@@ -78,6 +79,11 @@ class Relocalization:
     def link(self) -> Link | None:
         """From the keyframe to the frame; None when it was not found."""
         return None if self.registration is None else self.registration.link
+
+
+# Sigma of a motion at half the resolution, pixels of it, from which on the full one is used: 0.01
+# where the floor has texture [guarded by tests/test_examples.py: 0.07 on the course, 0.3 mm off].
+_MAX_ROUGH_PIXELS = 0.05
 
 
 class Relocalizer:
@@ -171,7 +177,8 @@ class Relocalizer:
         """Register a frame to a keyframe by pixels alone, about where it is expected; else None.
 
         At half the resolution where that of the frame is halved. Where a floor repeats, that is too
-        little to tell one period from the next.
+        little to tell one period from the next; and where few lines fix the motion, too little to
+        measure it.
         """
         halved, expected = prepared.finer is not None, prior.a_from_b
         keyframe = self.database.decode_halved(a) if halved else self.database.decode(a)
@@ -181,7 +188,7 @@ class Relocalizer:
         result = direct.track(keyframe, prepared, expected, calibration, options, prior, levels)
         if result is None or result.link is None or result.confirmed < _MIN_CONFIRMED:
             return None
-        if halved and _floor_repeats(result):
+        if halved and (_floor_repeats(result) or _is_rough(result)):
             return None
         return replace(result, link=replace(result.link, kind="loop"))
 
@@ -328,6 +335,13 @@ def _floor_repeats(result: RegistrationResult) -> bool:
     if len(result.keyframe.repeats):
         return True
     return result.overlap < direct.MIN_OVERLAP_OF_PERIODS and len(result.prepared.repeats) > 0
+
+
+def _is_rough(result: RegistrationResult) -> bool:
+    """Return whether a motion is known no better than to some share of a pixel."""
+    assert result.link is not None
+    limit = _MAX_ROUGH_PIXELS * result.keyframe.levels[0].metres_per_pixel
+    return max_variance(result.link.covariance) > limit**2
 
 
 def are_near(first: Pose2, second: Pose2, metres: float, radians: float) -> bool:
