@@ -58,6 +58,9 @@ _DRIFT_PER_KEYFRAME = 0.01
 _VOTED_RADIANS = 0.01
 # That is within a pixel of the finest level.
 _VOTED_LEVELS = 1
+# Sigma of a motion at half the resolution, pixels of it, from which on the full one is used: 0.01
+# where the floor has texture [guarded by tests/test_examples.py: 0.07 on the course, 0.3 mm off].
+_MAX_ROUGH_PIXELS = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,11 +82,6 @@ class Relocalization:
     def link(self) -> Link | None:
         """From the keyframe to the frame; None when it was not found."""
         return None if self.registration is None else self.registration.link
-
-
-# Sigma of a motion at half the resolution, pixels of it, from which on the full one is used: 0.01
-# where the floor has texture [guarded by tests/test_examples.py: 0.07 on the course, 0.3 mm off].
-_MAX_ROUGH_PIXELS = 0.05
 
 
 class Relocalizer:

@@ -92,18 +92,14 @@ def track(
     if refined is None or not rivals.is_expected(prior, refined.a_from_b):
         return None
     fit = score_coarsely(pair, refined)
-    shared = prepared
-    if fit.agreement.overlap >= MIN_OVERLAP_OF_PERIODS:
-        shared = replace(prepared, periodicity=NO_PERIODS)
-    context = PairContext(keyframe, shared, _NO_ALIGNMENT, calibration, options, 0.0, prior)
+    context = _context(keyframe, prepared, calibration, options, prior, fit)
     if not _explains_all(context, fit):
         return None
     if context.suggested(fit):
         fit = score_finely(pair, fit)
         if context.check_rivals(pair, fit):
             return None
-    result = context.result(fit, ACCEPTED)
-    return None if result.link is None else replace(result, prepared=prepared)
+    return _accepted(context, prepared, fit)
 
 
 def track_sparsely(
@@ -146,12 +142,10 @@ def track_sparsely(
     # Gray values that agree so well need no evidence of normalised contrast beside them.
     if not criteria.explained_by_steady_camera(fit):
         fit = with_evidence(fit, keyframe.levels[1], sparse.second)
-    shared = replace(prepared, periodicity=NO_PERIODS)
-    context = PairContext(keyframe, shared, _NO_ALIGNMENT, calibration, options, 0.0, prior)
+    context = _context(keyframe, prepared, calibration, options, prior, fit)
     if not _explains_all(context, fit) or context.suggested(fit):
         return None
-    result = context.result(fit, ACCEPTED)
-    return None if result.link is None else replace(result, prepared=prepared)
+    return _accepted(context, prepared, fit)
 
 
 def _steady(options: MapperOptions) -> dense.RefinementAssumptions:
@@ -159,6 +153,28 @@ def _steady(options: MapperOptions) -> dense.RefinementAssumptions:
     return dense.RefinementAssumptions(
         suspected_tilt_radians=math.radians(options.tilt_sigma_degrees)
     )
+
+
+def _context(
+    keyframe: PreparedFrame,
+    prepared: PreparedFrame,
+    calibration: Calibration,
+    options: MapperOptions,
+    prior: dense.MotionPrior,
+    fit: MotionHypothesis,
+) -> PairContext:
+    """Return two frames without features; the periods are the keyframe's where it shows them."""
+    if fit.agreement.overlap >= MIN_OVERLAP_OF_PERIODS:
+        prepared = replace(prepared, periodicity=NO_PERIODS)
+    return PairContext(keyframe, prepared, _NO_ALIGNMENT, calibration, options, 0.0, prior)
+
+
+def _accepted(
+    context: PairContext, prepared: PreparedFrame, fit: MotionHypothesis
+) -> RegistrationResult | None:
+    """Return the result of an accepted motion; None where its score is too low for a link."""
+    result = context.result(fit, ACCEPTED)
+    return None if result.link is None else replace(result, prepared=prepared)
 
 
 def _explains_all(context: PairContext, fit: MotionHypothesis) -> bool:

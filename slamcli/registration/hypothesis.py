@@ -122,25 +122,18 @@ def score_coarsely(pair: PyramidPair, refined: dense.PhotometricFit) -> MotionHy
 
     Where there is no rival that its evidence would be compared with; else `score_finely` follows.
     """
-    agreement = dense.agreement(pair.a[0], pair.b[0], refined.view_a_from_view_b)
-    return with_evidence(_without_evidence(refined, agreement), pair.a[1], pair.b[1])
+    return with_evidence(score_agreement(pair.a[0], pair.b[0], refined), pair.a[1], pair.b[1])
 
 
 def score_agreement(
     a: PyramidLevel, b: PyramidLevel, refined: dense.PhotometricFit
 ) -> MotionHypothesis:
     """Return a refined motion with the agreement of its gray values on one level, no evidence."""
-    return _without_evidence(refined, dense.agreement(a, b, refined.view_a_from_view_b))
-
-
-def _without_evidence(
-    refined: dense.PhotometricFit, agreement: dense.Agreement
-) -> MotionHypothesis:
     return MotionHypothesis(
         refined.a_from_b,
         refined.covariance,
         refined.predicted_covariance,
-        agreement,
+        dense.agreement(a, b, refined.view_a_from_view_b),
         0.0,
         -1.0,
         refined.view_a_from_view_b,

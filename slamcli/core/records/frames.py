@@ -218,7 +218,7 @@ class Pyramids:
     Attributes
     ----------
     near : tuple of PyramidLevel
-        None when the frame could not be used.
+        Empty when the frame could not be used.
     far : tuple of PyramidLevel
         Of a coarser view of the floor beyond; empty where the camera sees no farther.
     reason : str

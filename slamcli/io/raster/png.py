@@ -63,7 +63,7 @@ def compress(image: UInt8Array, mask: UInt8Array | None = None) -> Strip:
     above: UInt8Array | None = None
     for first in range(0, len(image), _BLOCK_ROWS):
         block = slice(first, first + _BLOCK_ROWS)
-        colours = _opaque(image[block], None if mask is None else mask[block])
+        colours = _rgba_rows(image[block], None if mask is None else mask[block])
         rows = _filtered(colours, above)
         above = colours[-1]
         data.append(deflate.compress(rows.data))
@@ -72,7 +72,7 @@ def compress(image: UInt8Array, mask: UInt8Array | None = None) -> Strip:
     return Strip(b"".join(data), checksum, length)
 
 
-def _opaque(image: UInt8Array, mask: UInt8Array | None) -> UInt8Array:
+def _rgba_rows(image: UInt8Array, mask: UInt8Array | None) -> UInt8Array:
     """Return (h, 4 w) uint8: the bytes of RGBA pixels, row by row."""
     code = cv2.COLOR_BGRA2RGBA if mask is None else cv2.COLOR_BGR2RGBA
     colours = cv2.cvtColor(image, code)
