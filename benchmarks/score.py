@@ -1,7 +1,7 @@
 """Fit of the score of a motion to simulated floors, each kind foretold by the others.
 
 Run: python benchmarks/score.py --folder FOLDER [--shard I/N] [--limit N] [--summary]. A cell is a
-kind of floor seen by one of four cameras, with or without disturbances: 20 frames of a short way
+kind of floor seen by one of five cameras, with or without disturbances: 20 frames of a short way
 and around it, registered in pairs: near a right guess, one that is a period of the floor off, one
 that is anywhere, and searched for, with priors that are right, wrong or absent. The evidence of
 each motion, and whether it is within 2 cm and 1 degree of the truth, is kept in the folder, one
@@ -58,6 +58,13 @@ VARIANTS = (
         camera=CameraOptions(size=(320, 240), height_metres=0.3, pitch_degrees=38.0),
         imaging=ImagingOptions(lamp_share=0.2, auto_exposure=True, sharpening=0.4),
         disturbances=DisturbanceOptions(rocking_degrees=0.15),
+    ),
+    # Tiles of one print, in colour through a sensor's filter array, read row by row.
+    SimulationOptions(
+        surface=FloorOptions(tile_metres=0.15, marks=0, wear=0.2),
+        camera=CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=50.0),
+        imaging=ImagingOptions(bayer=True, rolling_shutter=0.1, dust=6),
+        disturbances=DisturbanceOptions(noise_gray=4.0, flicker=0.15, vignetting=0.3),
     ),
 )
 SEED = 11

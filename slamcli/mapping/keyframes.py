@@ -6,7 +6,7 @@ the pyramid is computed from them: a twentieth of the memory.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -158,6 +158,13 @@ class KeyframeDatabase:
         number = self._number[index]
         return self.order[number - 1] if number else None
 
+    def beside(self, indices: Iterable[int], steps: int) -> set[int]:
+        """Return keyframes and those that were inserted up to so many steps before or after."""
+        numbers = {
+            self._number[index] + step for index in indices for step in range(-steps, steps + 1)
+        }
+        return {self.order[number] for number in numbers if 0 <= number < len(self.order)}
+
     def is_expected(self, index: int) -> bool:
         """Return whether a frame lies as far after the latest keyframe as that after another.
 
@@ -204,6 +211,9 @@ def _decode_keyframe(
         Deferred.of(features),
         pyramids=Deferred.of(Pyramids(levels)),
         periodicity=Deferred(partial(dense.find_periods, levels)),
+        tracked=None
+        if halved or len(levels) < _MIN_LEVELS
+        else Deferred.of((levels[0], levels[1])),
     )
 
 

@@ -38,6 +38,8 @@ _MAX_SQUARED_MAHALANOBIS = 21.1
 _MAX_STEPS_BESIDE = 1
 # Registrations about guesses that differ by less search the same motions.
 _SAME_RADIANS = 0.1
+# Keyframes that were inserted so few steps before or after one are about it: steps link them.
+_STEPS_ABOUT = 2
 # Keyframes whose candidates are listed at a time: bounds the memory [benchmarks/scale.py].
 _KEYFRAMES_AT_ONCE = 1024
 
@@ -158,6 +160,26 @@ class LoopCloser:
                 driven_metres = self._path_lengths_metres[b] - self._path_lengths_metres[a]
                 return self._verify(self._proposals.by_votes(candidate, b, driven_metres, graph))
         return None
+
+    def connected(self, keyframe: int, graph: PoseGraphReader) -> list[int]:
+        """Return the keyframes about those that loops and steps connect with one, in their order.
+
+        Of its own fragment, without itself: where they lie is certain.
+        """
+        self._linked.update(graph.links)
+        about = self._database.beside(
+            [keyframe, *self._linked.linked.get(keyframe, [])], _STEPS_ABOUT
+        )
+        fragment = graph[keyframe].fragment
+        return sorted(
+            index
+            for index in about - {keyframe}
+            if graph.is_placed(index) and graph[index].fragment == fragment
+        )
+
+    def decode(self, keyframe: int) -> PreparedFrame:
+        """Return a stored keyframe ready for registration; raises FrameError if it is damaged."""
+        return self._database.decode(keyframe)
 
     def find_loops(self, graph: PoseGraphReader, spread: Spread = map) -> list[Link]:
         """Return the loops that one round finds by the graph's poses as they are.

@@ -40,6 +40,7 @@ from slamcli.mapping.lost_frames import LostFrames, PrepareAgain
 from slamcli.mapping.motion_model import MotionModel
 from slamcli.mapping.preprocessing import Preprocessor
 from slamcli.mapping.relocalization import Relocalizer
+from slamcli.mapping.revisiting import Revisiting
 from slamcli.mapping.saved_state import MapperState
 from slamcli.mapping.tracking import Tracker, is_mostly_confirmed
 from slamcli.mapping.tracking_state import TrackingState
@@ -79,6 +80,15 @@ class Mapper:
             calibration, self.options, self._tracking, self._graph, self.sensors
         )
         self._tracker = Tracker(calibration, self.options, self._tracking, self._motion_model)
+        self._revisiting = Revisiting(
+            calibration,
+            self.options,
+            self._tracking,
+            self._motion_model,
+            self._tracker,
+            self._loop_closer,
+            self._graph,
+        )
         self._lost_frames = LostFrames(calibration, self.options, self._backend, self._database)
         self._registrations: list[RegistrationResult] = []
         self._lock = ReentrantLock()
@@ -188,7 +198,8 @@ class Mapper:
     def prepare_ahead(self, frame: Frame) -> PreparedFrame:
         """Return the same as `prepare`, with what `step` is likely to need computed already."""
         prepared = self._preprocessor.prepare(frame, lazily=True)
-        compute_ahead(prepared, keyframe=self._database.is_expected(frame.index))
+        keyframe = not self._tracking.is_revisiting and self._database.is_expected(frame.index)
+        compute_ahead(prepared, keyframe=keyframe)
         return prepared
 
     def step(self, prepared: PreparedFrame) -> PoseEstimate:
@@ -219,6 +230,9 @@ class Mapper:
         if sparsely is not None:
             self._tracking.latest, self._registrations = prepared, [sparsely]
             return self._insert(prepared, self._registrations)
+        if self.options.loops and (revisit := self._revisiting.track(prepared)):
+            self._tracking.latest, self._registrations = prepared, revisit
+            return self._revisit(prepared, *revisit)
         if not prepared.levels:
             reason = prepared.reason or prepared.pyramids.value.reason
             return self._backend.add_lost(prepared, reason)
@@ -331,9 +345,16 @@ class Mapper:
         """
         self._backend.restore(state.graph, state.next_fragment, state.smoother)
         self._loop_closer.restore(state.loops)
-        self._tracking.restore(state.tracking, prepared)
+        stored = {index: self._database.decode(index) for index in state.tracking.revisited}
+        self._tracking.restore(state.tracking, {**prepared, **stored})
 
-    def _insert(self, prepared: PreparedFrame, results: list[RegistrationResult]) -> PoseEstimate:
+    def _insert(
+        self,
+        prepared: PreparedFrame,
+        results: list[RegistrationResult],
+        *,
+        is_keyframe: bool | None = None,
+    ) -> PoseEstimate:
         """Insert a frame by its links into the pose graph; close the loops of a new keyframe."""
         results = [
             camera_tilt.with_rocking(
@@ -348,11 +369,12 @@ class Mapper:
             if link.kind == "step" and result.keyframe not in self._tracking.keyframes:
                 self._add_keyframe(result.keyframe)
             camera_tilt.add_link(result, self._tracking, self.options)
-        estimate = self._backend.place(prepared, links)
+        revisited = links[0].kind == "step" and links[0].a in self._tracking.revisited
+        estimate = self._backend.place(prepared, links, revisited=revisited)
         self._motion_model.update(prepared.index)
         last_lost, self._tracking.last_lost = self._tracking.last_lost, None
         self._tracking.last_placed = prepared
-        if self._tracker.is_keyframe(results):
+        if self._tracker.is_keyframe(results) if is_keyframe is None else is_keyframe:
             self._add_keyframe(prepared)
             estimate = self._join_fragments(prepared)
             if links[0].kind != "loop":
@@ -360,6 +382,16 @@ class Mapper:
         if last_lost is not None and not self._graph.is_placed(last_lost.index):
             return self._retry_last_lost(prepared, last_lost)
         return estimate
+
+    def _revisit(
+        self, prepared: PreparedFrame, step: RegistrationResult, loop: RegistrationResult
+    ) -> PoseEstimate:
+        """Insert a frame of floor that is known; those that follow are tracked by what shows it."""
+        assert loop.link is not None
+        self._insert(prepared, [step], is_keyframe=False)
+        self._backend.add_links(prepared.index, [loop.link])
+        self._tracking.add_keyframe(loop.keyframe, self.options.recent_keyframes, revisited=True)
+        return self._graph[prepared.index]
 
     def _relocalize_or_keep(self, prepared: PreparedFrame) -> PoseEstimate:
         """Place a frame by relocalisation, else by the lost one before it, else keep it as lost."""
@@ -423,9 +455,8 @@ class Mapper:
         return self._backend.begin_fragment(prepared)
 
     def _add_keyframe(self, prepared: PreparedFrame) -> None:
-        self._tracking.keyframes.append(prepared)
+        self._tracking.add_keyframe(prepared, self.options.recent_keyframes)
         self._loop_closer.add(prepared)
-        del self._tracking.keyframes[: -self.options.recent_keyframes]
 
 
 def _check_type(reading: object, kind: type) -> None:

@@ -97,6 +97,9 @@ class MotionModel:
 
         None without readings and without a latest motion.
         """
+        latest = self._tracking.last_placed
+        if keyframe.index in self._tracking.revisited and latest is not None:
+            return self._prior_by_map(keyframe, latest, prepared)
         if (link := self.by_odometry(keyframe.index, prepared)) is not None:
             return dense.MotionPrior(link.a_from_b, link.covariance)
         motion, frame = self._tracking.motion, self._tracking.motion_frame
@@ -116,6 +119,21 @@ class MotionModel:
         varied = range(start - frame + 1, steps + 1)
         sigmas = sum(varied) * np.array(self._prediction_sigmas())
         return dense.MotionPrior(predicted, np.diag(sigmas) ** 2)
+
+    def _prior_by_map(
+        self, keyframe: PreparedFrame, latest: PreparedFrame, prepared: PreparedFrame
+    ) -> dense.MotionPrior | None:
+        """Return the motion from a keyframe of long ago: by the map up to the latest frame."""
+        step = None if latest is keyframe else self.prior(latest, prepared)
+        if (
+            step is None
+            or self._graph[keyframe.index].fragment != self._graph[latest.index].fragment
+        ):
+            return None
+        keyframe_from_latest = self._graph.pose(keyframe.index).inverse() @ self._graph.pose(
+            latest.index
+        )
+        return dense.MotionPrior(keyframe_from_latest @ step.a_from_b, step.covariance)
 
     def _prediction_sigmas(self) -> tuple[float, float, float]:
         """Return by how much the motion varies from one frame to the next: x, y (m), theta (rad).

@@ -63,7 +63,10 @@ class LoopState:
 
 @dataclass(frozen=True, slots=True)
 class TrackingFrames:
-    """The frames that tracking still needs, by index; they are prepared again from their files."""
+    """The frames that tracking still needs, by index.
+
+    They are prepared again from their files, but for the keyframes that were revisited.
+    """
 
     keyframes: tuple[int, ...]
     latest: int | None
@@ -72,13 +75,15 @@ class TrackingFrames:
     motion: Pose2 | None
     motion_frame: int
     prediction_errors: list[tuple[float, float]]
+    revisited: tuple[int, ...]
     tilts_radians: list[float]
 
     @property
     def indices(self) -> set[int]:
-        """All of them."""
+        """Those that are prepared again."""
         others = (self.latest, self.last_placed, self.last_lost)
-        return {*self.keyframes, *(index for index in others if index is not None)}
+        keyframes = set(self.keyframes) - set(self.revisited)
+        return keyframes | {index for index in others if index is not None}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +115,7 @@ def check(state: MapperState) -> None:
     if not (
         counted
         and ends | keyframes | state.tracking.indices <= located
+        and set(state.tracking.revisited) <= keyframes & set(state.tracking.keyframes)
         and {*state.loops.alike, *state.loops.path_lengths_metres} <= keyframes
     ):
         raise ValueError("it refers to frames that it lacks")

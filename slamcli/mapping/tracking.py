@@ -48,6 +48,7 @@ class Tracker:
     ) -> None:
         self._calibration = calibration
         self._options = options
+        self._options_of_known = replace(options, max_turn_degrees=180.0)
         self._tracking = tracking
         self._motion_model = motion_model
 
@@ -93,18 +94,75 @@ class Tracker:
         It is tried where the frame is expected to show little new, by what is known of how the
         robot moves, and the camera does not rock.
         """
-        options, tracking = self._options, self._tracking
-        sparse = prepared.sparse.value
-        if sparse is None or not tracking.keyframes or not (options.dense and options.refine):
+        if not self.is_steady(prepared):
             return None
-        newest = tracking.keyframes[-1]
+        newest = self._tracking.keyframes[-1]
         prior = self._motion_model.prior(newest, prepared)
-        if prior is None or camera_tilt.is_shown(tracking.tilts_radians, options):
+        return None if prior is None else self._track_sparsely(newest, prepared, prior)
+
+    def is_steady(self, prepared: PreparedFrame) -> bool:
+        """Return whether a frame can be tracked by its sparse view, and the camera is steady."""
+        options, tracking = self._options, self._tracking
+        return (
+            options.dense
+            and options.refine
+            and bool(tracking.keyframes)
+            and not camera_tilt.is_shown(tracking.tilts_radians, options)
+            and prepared.sparse.value is not None
+        )
+
+    def track_closely(
+        self, keyframe: PreparedFrame, prepared: PreparedFrame
+    ) -> RegistrationResult | None:
+        """Register a frame that shares less with the newest keyframe; by its sparse view if it can.
+
+        None where its pixels do not prove the motion.
+        """
+        prior = self._motion_model.prior(keyframe, prepared)
+        if prior is None:
             return None
-        expected = dense.overlap(newest.levels[1], sparse.second, prior.a_from_b)
+        options = replace(
+            self._options_of(keyframe), keyframe_overlap=direct.MIN_OVERLAP_OF_PERIODS
+        )
+        sparsely = self._track_sparsely(keyframe, prepared, prior, options)
+        return sparsely or self._track_directly(keyframe, prepared, None)
+
+    def track_known(
+        self, keyframe: PreparedFrame, prepared: PreparedFrame, guess: Pose2
+    ) -> RegistrationResult | None:
+        """Register a frame to a keyframe of floor that is seen again, by its sparse view alone.
+
+        Parameters
+        ----------
+        keyframe, prepared : PreparedFrame
+        guess : Pose2
+            ``keyframe_from_prepared`` by the map.
+        """
+        newest = self._tracking.keyframes[-1]
+        step = self._motion_model.prior(newest, prepared)
+        if step is None:
+            return None
+        prior = dense.MotionPrior(guess, step.covariance)
+        return self._track_sparsely(keyframe, prepared, prior, self._options_of_known)
+
+    def _track_sparsely(
+        self,
+        keyframe: PreparedFrame,
+        prepared: PreparedFrame,
+        prior: dense.MotionPrior,
+        options: MapperOptions | None = None,
+    ) -> RegistrationResult | None:
+        options, sparse = options or self._options_of(keyframe), prepared.sparse.value
+        assert sparse is not None
+        expected = dense.overlap(keyframe.levels[1], sparse.second, prior.a_from_b)
         if expected < options.keyframe_overlap + _MARGIN_OF_OVERLAP:
             return None
-        return direct.track_sparsely(newest, prepared, sparse, self._calibration, options, prior)
+        return direct.track_sparsely(keyframe, prepared, sparse, self._calibration, options, prior)
+
+    def _options_of(self, keyframe: PreparedFrame) -> MapperOptions:
+        """Return the options for a keyframe: floor that is seen again may lie at any angle."""
+        revisited = keyframe.index in self._tracking.revisited
+        return self._options_of_known if revisited else self._options
 
     def is_keyframe(self, results: list[RegistrationResult]) -> bool:
         """Keyframe selection: a frame becomes one that shares little floor with the keyframes.
@@ -175,7 +233,8 @@ class Tracker:
         self, keyframe: PreparedFrame, prepared: PreparedFrame, guess: Pose2 | None
     ) -> RegistrationResult | None:
         """Register a frame by pixels alone from where it is expected; None where that fails."""
-        options, prior = self._options, self._motion_model.prior(keyframe, prepared)
+        options = self._options_of(keyframe)
+        prior = self._motion_model.prior(keyframe, prepared)
         if prior is None or not (options.dense and options.refine):
             return None
         start = prior.a_from_b if guess is None else guess

@@ -30,6 +30,8 @@ class TrackingState:
         Index of the second of these.
     prediction_errors : list of (float, float)
         By how much the latest motions differed from the ones before: metres, radians.
+    revisited : set of int
+        Those of the keyframes that show floor which is seen again, taken from storage.
     tilts_radians : list of float
         The camera's tilt, off the calibration's, in the latest links that many features support or
         that need none.
@@ -42,7 +44,30 @@ class TrackingState:
     motion: Pose2 | None = None
     motion_frame: int = 0
     prediction_errors: list[tuple[float, float]] = field(default_factory=list)
+    revisited: set[int] = field(default_factory=set)
     tilts_radians: list[float] = field(default_factory=list)
+
+    @property
+    def is_revisiting(self) -> bool:
+        """Whether frames are tracked by a keyframe of floor that is seen again."""
+        return any(one.index in self.revisited for one in self.keyframes[-1:])
+
+    def add_keyframe(self, keyframe: PreparedFrame, limit: int, *, revisited: bool = False) -> None:
+        """Make a keyframe the newest, and leave out those before the latest few.
+
+        Parameters
+        ----------
+        keyframe : PreparedFrame
+        limit : int
+            How many are kept.
+        revisited : bool
+            Whether it shows floor that is seen again.
+        """
+        others = [one for one in self.keyframes if one.index != keyframe.index]
+        self.keyframes = [*others, keyframe][-limit:]
+        if revisited:
+            self.revisited.add(keyframe.index)
+        self.revisited &= {one.index for one in self.keyframes}
 
     def forget_lost(self, is_placed: Callable[[int], bool]) -> None:
         """Leave out the keyframes that are lost by now, and with them what followed from them."""
@@ -60,11 +85,12 @@ class TrackingState:
             self.motion,
             self.motion_frame,
             list(self.prediction_errors),
+            tuple(sorted(self.revisited)),
             list(self.tilts_radians),
         )
 
     def restore(self, saved: TrackingFrames, prepared: Mapping[int, PreparedFrame]) -> None:
-        """Take over a saved state, with its frames prepared again, each once."""
+        """Take over a saved state, with its frames prepared or decoded again, each once."""
 
         def of(index: int | None) -> PreparedFrame | None:
             return None if index is None else prepared[index]
@@ -74,4 +100,5 @@ class TrackingState:
         self.last_lost = of(saved.last_lost)
         self.motion, self.motion_frame = saved.motion, saved.motion_frame
         self.prediction_errors = list(saved.prediction_errors)
+        self.revisited = set(saved.revisited)
         self.tilts_radians = list(saved.tilts_radians)

@@ -82,7 +82,7 @@ def look(inputs: Inputs, first: RegisteredDrive, session: Session) -> tuple[bool
     """Return whether the frames contradict their calibration, and a line on what was found."""
     here = session.on_this_machine()
     pixels = contradiction_pixels(
-        first, lambda index: read_frame(inputs.files[index]), here.ordered
+        first, lambda index: read_frame(inputs.files[index], gray=True), here.ordered
     )
     if math.isnan(pixels):
         return False, ""

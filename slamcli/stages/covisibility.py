@@ -17,8 +17,6 @@ from slamcli.core.geometry import compose_poses, relative_poses
 # Overlaps differ from those of the views by less than 0.06.
 # [guarded by tests/mapping/test_loop_closure.py]
 _SAMPLES_A_SIDE = 14
-# Edges of the outlines within and around the footprint's, which may have hundreds.
-_FEW_EDGES = 32
 # Frames whose distances in the graph are computed at a time: bounds the memory.
 _FRAMES_AT_ONCE = 64
 
@@ -34,16 +32,16 @@ class Footprint:
     def __init__(self, calibration: Calibration) -> None:
         hull = ConvexHull(footprint_hull(calibration))
         corners = hull.points[hull.vertices]
-        # Inside is where normal . point + offset <= 0 for every edge.
-        self._edges = hull.equations
-        # Few edges decide nearly everywhere: some of its own, those between some of its corners.
-        self._outer = self._edges[:: max(1, len(self._edges) // _FEW_EDGES)]
-        self._inner = ConvexHull(corners[:: max(1, len(corners) // _FEW_EDGES)]).equations
+        # A row of points is inside between the outline's left and right sides, functions of y.
+        lowest, highest = int(np.argmin(corners[:, 1])), int(np.argmax(corners[:, 1]))
+        turned, up = np.roll(corners, -lowest, axis=0), (highest - lowest) % len(corners)
+        self._right = _rising(turned[: up + 1])
+        self._left = _rising(np.vstack([turned[up:], turned[:1]])[::-1])
         low, high = corners.min(axis=0), corners.max(axis=0)
         steps = (np.arange(_SAMPLES_A_SIDE) + 1.0) / (_SAMPLES_A_SIDE + 1.0)
         x, y = np.meshgrid(*(low[axis] + steps * (high - low)[axis] for axis in (0, 1)))
         lattice = np.column_stack([x.ravel(), y.ravel()])
-        self._points = lattice[self._inside(lattice)]
+        self._points = lattice[self._inside(*lattice.T)]
         self.centre = self._points.mean(axis=0)
         self.radius_metres = float(np.linalg.norm(corners - self.centre, axis=1).max())
 
@@ -51,29 +49,21 @@ class Footprint:
         """Return the shares of b's floor that a sees too, for (N, 3) motions x, y, theta."""
         cosine, sine = np.cos(a_from_b[:, 2:]), np.sin(a_from_b[:, 2:])
         x, y = self._points.T
-        points = np.stack(
-            [
-                cosine * x - sine * y + a_from_b[:, :1],
-                sine * x + cosine * y + a_from_b[:, 1:2],
-            ],
-            axis=-1,
-        )
-        shares: Float64Array = self._inside(points).mean(axis=-1)
+        across = cosine * x - sine * y + a_from_b[:, :1]
+        along = sine * x + cosine * y + a_from_b[:, 1:2]
+        shares: Float64Array = self._inside(across, along).mean(axis=-1)
         return shares
 
-    def _inside(self, points: Float64Array) -> BoolArray:
-        """Return (...): whether points (..., 2) lie within the outline."""
-        flat = points.reshape(-1, 2)
-        inside = _within(flat, self._outer)
-        open_points = np.flatnonzero(inside)
-        open_points = open_points[~_within(flat[open_points], self._inner)]
-        inside[open_points] = _within(flat[open_points], self._edges)
-        return inside.reshape(points.shape[:-1])
+    def _inside(self, x: Float64Array, y: Float64Array) -> BoolArray:
+        """Return (...): whether points lie within the outline."""
+        left, right = (np.interp(y, side[:, 1], side[:, 0]) for side in (self._left, self._right))
+        between = (left <= x) & (x <= right)
+        return np.asarray(between & (y >= self._left[0, 1]) & (y <= self._left[-1, 1]))
 
 
-def _within(points: Float64Array, edges: Float64Array) -> BoolArray:
-    """Return (N,): whether points (N, 2) lie within all edges, rows of normal and offset."""
-    return np.asarray((points @ edges[:, :2].T + edges[:, 2] <= 0.0).all(axis=1))
+def _rising(side: Float64Array) -> Float64Array:
+    """Return the corners (N, 2) of one side of an outline, from the lowest up, one at each y."""
+    return np.asarray(side[np.unique(side[:, 1], return_index=True)[1]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

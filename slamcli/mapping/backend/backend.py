@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -84,18 +85,39 @@ class Backend:
             self._next_fragment = max(self._next_fragment, estimate.fragment + 1)
         self.graph.add_links(links)
 
-    def place(self, prepared: PreparedFrame, links: Sequence[Link]) -> PoseEstimate:
+    def place(
+        self, prepared: PreparedFrame, links: Sequence[Link], *, revisited: bool = False
+    ) -> PoseEstimate:
         """Insert a frame by the most certain of its links; links to another fragment join both.
 
         Links that are likely to be wrong are left out where another one places the frame.
+
+        Parameters
+        ----------
+        prepared : PreparedFrame
+        links : sequence of Link
+        revisited : bool
+            Whether they come from floor that was seen long ago: odometry is then compared with the
+            step from the latest frame.
         """
         links = without_unlikely(links)
-        odom = self._odom_after(prepared, most_certain(links))
         predicted = self.graph.predict_pose(prepared, links)
+        moved = self._step_from_latest(predicted) if revisited else most_certain(links)
+        odom = self._odom_after(prepared, moved)
         self.graph.set_estimate(replace(predicted, odom_from_robot=odom))
         self.add_links(prepared.index, links)
-        self._compare_odometry(links)
+        self._compare_odometry(links if moved is None or not revisited else [moved])
         return self.graph[prepared.index]
+
+    def _step_from_latest(self, placed: PoseEstimate) -> Link | None:
+        """Return a frame's motion from the latest placed one by the map; None from another one."""
+        latest = self.graph.latest_placed
+        assert placed.map_from_robot is not None
+        assert placed.covariance is not None
+        if latest is None or latest.map_from_robot is None or latest.fragment != placed.fragment:
+            return None
+        motion = latest.map_from_robot.inverse() @ placed.map_from_robot
+        return Link(latest.index, placed.index, motion, placed.covariance, 0, math.nan, "step")
 
     def place_between(self, prepared: PreparedFrame, link: Link) -> PoseEstimate:
         """Insert a lost frame among placed ones by a link; `solve` then optimises all of them."""
