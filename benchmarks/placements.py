@@ -43,6 +43,7 @@ class Placements:
         Tracked frames that are false beside the frame tracked before them in their fragment.
     seconds : float
         Of the mapper.
+    keyframes : int
     """
 
     estimates: list[PoseEstimate]
@@ -50,6 +51,7 @@ class Placements:
     false_links: list[tuple[Link, Pose2]]
     false_frames: list[int]
     seconds: float
+    keyframes: int
 
     @property
     def tracked(self) -> set[int]:
@@ -113,7 +115,10 @@ def place(
         for link in links
     ]
     false_links = [(link, error) for link, error in errors if is_false(error)]
-    return Placements(estimates, links, false_links, _false_frames(estimates, truth), seconds)
+    floor_map = mapper.floor_map()
+    keyframes = 0 if floor_map is None else len(floor_map.keyframes)
+    false_frames = _false_frames(estimates, truth)
+    return Placements(estimates, links, false_links, false_frames, seconds, keyframes)
 
 
 def _false_frames(estimates: Sequence[PoseEstimate], truth: Sequence[Pose2]) -> list[int]:

@@ -62,7 +62,7 @@ VARIANTS = (
     # Tiles of one print, in colour through a sensor's filter array, read row by row.
     SimulationOptions(
         surface=FloorOptions(tile_metres=0.15, marks=0, wear=0.2),
-        camera=CameraOptions(size=(320, 240), height_metres=0.2, pitch_degrees=50.0),
+        camera=CameraOptions(size=(320, 240), height_metres=0.32, pitch_degrees=50.0),
         imaging=ImagingOptions(bayer=True, rolling_shutter=0.1, dust=6),
         disturbances=DisturbanceOptions(noise_gray=4.0, flicker=0.15, vignetting=0.3),
     ),

@@ -35,8 +35,8 @@ class Footprint:
         # A row of points is inside between the outline's left and right sides, functions of y.
         lowest, highest = int(np.argmin(corners[:, 1])), int(np.argmax(corners[:, 1]))
         turned, up = np.roll(corners, -lowest, axis=0), (highest - lowest) % len(corners)
-        self._right = _rising(turned[: up + 1])
-        self._left = _rising(np.vstack([turned[up:], turned[:1]])[::-1])
+        self._right = _rising(turned[: up + 1], outward=1.0)
+        self._left = _rising(np.vstack([turned[up:], turned[:1]]), outward=-1.0)
         low, high = corners.min(axis=0), corners.max(axis=0)
         steps = (np.arange(_SAMPLES_A_SIDE) + 1.0) / (_SAMPLES_A_SIDE + 1.0)
         x, y = np.meshgrid(*(low[axis] + steps * (high - low)[axis] for axis in (0, 1)))
@@ -61,9 +61,13 @@ class Footprint:
         return np.asarray(between & (y >= self._left[0, 1]) & (y <= self._left[-1, 1]))
 
 
-def _rising(side: Float64Array) -> Float64Array:
-    """Return the corners (N, 2) of one side of an outline, from the lowest up, one at each y."""
-    return np.asarray(side[np.unique(side[:, 1], return_index=True)[1]])
+def _rising(side: Float64Array, *, outward: float) -> Float64Array:
+    """Return the corners (N, 2) of one side of an outline, from the lowest up.
+
+    Of several at one y, at the ends of a level edge, the outermost.
+    """
+    ordered = side[np.lexsort((-outward * side[:, 0], side[:, 1]))]
+    return np.asarray(ordered[np.unique(ordered[:, 1], return_index=True)[1]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
