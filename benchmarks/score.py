@@ -59,11 +59,11 @@ VARIANTS = (
         imaging=ImagingOptions(lamp_share=0.2, auto_exposure=True, sharpening=0.4),
         disturbances=DisturbanceOptions(rocking_degrees=0.15),
     ),
-    # Tiles of one print, in colour through a sensor's filter array, read row by row.
+    # Tiles of one print, in colour through a sensor's filter array and a dusty lens.
     SimulationOptions(
         surface=FloorOptions(tile_metres=0.15, marks=0, wear=0.2),
         camera=CameraOptions(size=(320, 240), height_metres=0.32, pitch_degrees=50.0),
-        imaging=ImagingOptions(bayer=True, rolling_shutter=0.1, dust=6),
+        imaging=ImagingOptions(bayer=True, dust=6),
         disturbances=DisturbanceOptions(noise_gray=4.0, flicker=0.15, vignetting=0.3),
     ),
 )

@@ -28,6 +28,9 @@ from slamcli.stages import covisibility
 
 # Frames ahead for which a keyframe is chosen: it is to serve as many as possible.
 _FRAMES_AHEAD = 8
+# A loop that decides where all frames after it lie must be as good as certain [benchmarks/score.py:
+# one in a thousand is wrong].
+_MIN_SCORE = 0.99
 # By how much more the footprints must overlap than views do [stages/covisibility.py: 0.06].
 _MARGIN_OF_FOOTPRINTS = 0.05
 
@@ -84,7 +87,7 @@ class Revisiting:
         if guess is None:
             return []
         loop = self._tracker.track_known(known, prepared, guess)
-        if loop is None or loop.link is None:
+        if loop is None or loop.link is None or loop.link.score < _MIN_SCORE:
             return []
         return [step, replace(loop, link=replace(loop.link, kind="loop"))]
 
