@@ -15,6 +15,8 @@ from slamcli.stages import adjustment
 # One pair for so many frames, within these bounds: a twentieth of what registering them takes.
 _FRAMES_A_PAIR, _MIN_PAIRS, _MAX_PAIRS = 16, 3, 8
 _MATCHES_A_PAIR, _MIN_MATCHES = 60, 12
+# Any informative spots do: they are chosen at half the size.
+_CHOSEN_ON = 1
 # Spots of a rigid camera that is right lie 0.02 to 0.2 px apart, those of one that is off by a
 # per cent or by a lens 1 px and more [benchmarks/self_calibration.py].
 _MAX_PIXELS = 0.35
@@ -35,7 +37,7 @@ def contradiction_pixels(drive: RegisteredDrive, read: Read, in_order: InOrder) 
         for estimate in drive.estimates
         if estimate.map_from_robot is not None
     }
-    matcher = Matcher(drive.calibration, poses, drive.links, read, adjustment.MAX_LEVEL)
+    matcher = Matcher(drive.calibration, poses, drive.links, read, adjustment.MAX_LEVEL, _CHOSEN_ON)
     found = in_order(partial(matcher.match, count=_MATCHES_A_PAIR), pairs)
     matches = [match for match in found if match is not None and len(match) >= _MIN_MATCHES]
     if len(matches) < _MIN_PAIRS:

@@ -43,6 +43,8 @@ class Matcher:
         Returns a frame by its index.
     coarsest : int
         Pyramid level to start at.
+    chosen_on : int
+        Pyramid level that points are chosen on.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class Matcher:
         links: Sequence[Link],
         read: Read,
         coarsest: int,
+        chosen_on: int = 0,
     ) -> None:
         self._calibration, self._poses, self._read = calibration, poses, read
         self._coarsest = coarsest
@@ -60,7 +63,7 @@ class Matcher:
         self._usable = np.where(usable, np.uint8(255), np.uint8(0))
         self._pyramid = lru_cache(maxsize=_KEPT_PYRAMIDS)(self._make_pyramid)
         self._information = lru_cache(maxsize=_KEPT_PYRAMIDS)(
-            lambda index: adjustment.pixel_information(self._pyramid(index))
+            lambda index: adjustment.pixel_information(self._pyramid(index), chosen_on)
         )
 
     def match(self, pair: FramePair, count: int) -> adjustment.Matches | None:

@@ -31,8 +31,6 @@ from slamcli.stages.adjustment.pyramid import MAX_LEVEL, Pyramid
 _MIN_GRADIENT_GRAY = 1.5
 # A corner fixes both directions; a line, which fixes one, is worth this share of it.
 _LINE_SHARE = 0.05
-# Where points are chosen: a pixel to either side makes no difference to their patches.
-_CHOOSING_LEVEL = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,12 +57,17 @@ class Matches:
         return len(self.pixels_a)
 
 
-def pixel_information(pyramid: Pyramid) -> Float32Array:
+def pixel_information(pyramid: Pyramid, level: int = 0) -> Float32Array:
     """Return (H, W): how well each usable pixel's patch fixes a motion; 0 where it is too weak.
 
-    Found at half the size, as patches are far larger than a pixel.
+    Parameters
+    ----------
+    pyramid : Pyramid
+    level : int
+        That it is found on. At half the size it takes a quarter of the time, and refined cameras
+        are up to three times as far off [benchmarks/self_calibration.py: concrete].
     """
-    image, mask = pyramid.images[_CHOOSING_LEVEL], pyramid.masks[_CHOOSING_LEVEL]
+    image, mask = pyramid.images[level], pyramid.masks[level]
     information = np.zeros_like(image)
     left, top, width, height = cv2.boundingRect(mask)
     # And as much around the usable floor as its pixels' patches and their gradients reach.
@@ -72,15 +75,16 @@ def pixel_information(pyramid: Pyramid) -> Float32Array:
         slice(max(0, start - HALF_PIXELS - 1), start + size + HALF_PIXELS + 1)
         for start, size in ((top, height), (left, width))
     )
-    information[rows, columns] = _information(image[rows, columns])
-    full = pyramid.images[0].shape
-    wide = cv2.resize(information, full[::-1], interpolation=cv2.INTER_NEAREST)
-    return np.asarray(wide, np.float32)
+    information[rows, columns] = _information(image[rows, columns], level)
+    if level:
+        full = pyramid.images[0].shape[::-1]
+        information = np.asarray(cv2.resize(information, full, interpolation=cv2.INTER_NEAREST))
+    return information
 
 
-def _information(image: Float32Array) -> Float32Array:
+def _information(image: Float32Array, level: int) -> Float32Array:
     right, down = image_gradients(image)
-    half = HALF_PIXELS >> _CHOOSING_LEVEL
+    half = HALF_PIXELS >> level
     side = (2 * half + 1, 2 * half + 1)
     xx, yy, xy = (
         cv2.blur(cv2.multiply(a, b), side) for a, b in ((right, right), (down, down), (right, down))
@@ -90,7 +94,7 @@ def _information(image: Float32Array) -> Float32Array:
     spread = cv2.magnitude(cv2.addWeighted(xx, 0.5, yy, -0.5, 0.0), xy)
     least, most = np.maximum(cv2.subtract(middle, spread), 0.0), cv2.add(middle, spread)
     information = cv2.scaleAdd(most, _LINE_SHARE, least)
-    information[most <= (_MIN_GRADIENT_GRAY * 2**_CHOOSING_LEVEL) ** 2] = 0.0
+    information[most <= (_MIN_GRADIENT_GRAY * 2**level) ** 2] = 0.0
     return np.asarray(information, np.float32)
 
 
