@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from slamcli.core.geometry import Pose2
+from slamcli.core.geometry import Pose2, squared_mahalanobis
 from slamcli.registration.hypothesis import MotionHypothesis, PyramidPair
 from slamcli.stages import dense
 
@@ -47,6 +47,9 @@ class RefinementSettings:
     # farther off follows obstacles [guarded by benchmarks/robustness.py: legs on bare].
     max_divergence_pixels: float = 2.0
     max_divergence_radians: float = math.radians(0.5)
+    # And that far in their sigmas and the fit's, squared [benchmarks/robustness.py, legs on planks:
+    # 294, and 7 mm off].
+    max_squared_divergence: float = 50.0
 
 
 SETTINGS = RefinementSettings()
@@ -74,6 +77,17 @@ def diverged(start: Pose2, pose: Pose2, pair: PyramidPair) -> bool:
         moved.translation_length > limit_metres
         or abs(moved.theta) > SETTINGS.max_divergence_radians
     )
+
+
+def pulled_away(start: MotionHypothesis, fit: MotionHypothesis, pair: PyramidPair) -> bool:
+    """Return whether what moves pulled a steady fit away from where features certainly put it.
+
+    Legs before the floor have strong edges, and features on them agree with nothing.
+    """
+    if fit.includes_rocking or explains_all(fit) or not diverged(start.pose, fit.pose, pair):
+        return False
+    apart = squared_mahalanobis(start.pose, start.covariance + fit.covariance, fit.pose)
+    return apart > SETTINGS.max_squared_divergence
 
 
 def mostly_obstructed(fit: MotionHypothesis) -> bool:

@@ -150,7 +150,10 @@ def _best_refinement(problem: _Problem) -> MotionHypothesis | None:
             progress = _refine_rocking(problem, progress, tilt)
         else:
             break
-    return progress.best
+    best, start = progress.best, problem.start
+    if best is not None and start is not None and criteria.pulled_away(start, best, problem.pair):
+        return start
+    return best
 
 
 def _mask_obstacles(problem: _Problem) -> _Progress:

@@ -166,6 +166,24 @@ def test_a_steady_fit_wins_by_evidence_alone(scripted: Scripted) -> None:
     assert refined() is start
 
 
+@pytest.mark.parametrize(
+    ("pulled", "kept"),
+    [
+        (replace(unsteady(), pose=Pose2(0.08), evidence=900.0), False),
+        (replace(unsteady(), pose=Pose2(0.069), evidence=900.0), True),
+        (replace(unsteady(sigmas=(0.006, 0.001, 0.001)), pose=Pose2(0.08), evidence=900.0), True),
+        (replace(steady_fit(), pose=Pose2(0.08), evidence=900.0), True),
+    ],
+    ids=["certain", "near", "uncertain", "explains all"],
+)
+def test_what_moves_does_not_pull_a_motion_away_from_where_features_certainly_put_it(
+    scripted: Scripted, pulled: MotionHypothesis, kept: bool
+) -> None:
+    start = unsteady()
+    scripted(start, pulled, None, None)
+    assert refined() is (pulled if kept else start)
+
+
 def test_a_steady_fit_that_is_open_is_kept_only_where_its_start_is_as_open(
     scripted: Scripted,
 ) -> None:
