@@ -169,10 +169,19 @@ def test_a_steady_fit_wins_by_evidence_alone(scripted: Scripted) -> None:
 @pytest.mark.parametrize(
     ("pulled", "kept"),
     [
-        (replace(unsteady(), pose=Pose2(0.08), evidence=900.0), False),
-        (replace(unsteady(), pose=Pose2(0.069), evidence=900.0), True),
-        (replace(unsteady(sigmas=(0.006, 0.001, 0.001)), pose=Pose2(0.08), evidence=900.0), True),
-        (replace(steady_fit(), pose=Pose2(0.08), evidence=900.0), True),
+        (fit_of(Pose2(0.08), normalised_correlation=0.8, correlation=0.8, evidence=900.0), False),
+        (fit_of(Pose2(0.069), normalised_correlation=0.8, correlation=0.8, evidence=900.0), True),
+        (
+            fit_of(
+                Pose2(0.08),
+                normalised_correlation=0.8,
+                correlation=0.8,
+                evidence=900.0,
+                sigmas=(0.006, 0.001, 0.001),
+            ),
+            True,
+        ),
+        (fit_of(Pose2(0.08), normalised_correlation=0.97, evidence=900.0), True),
     ],
     ids=["certain", "near", "uncertain", "explains all"],
 )
