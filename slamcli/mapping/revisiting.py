@@ -97,7 +97,7 @@ class Revisiting:
         """Return the stored keyframe that shows the floor of most frames from this one on."""
         prior = self._motion_model.prior(newest, prepared)
         motion = self._tracking.motion
-        if prior is None or motion is None:
+        if prior is None or motion is None or not self._graph.is_placed(newest.index):
             return None
         candidates = self._loop_closer.connected(newest.index, self._graph)
         if not candidates:
