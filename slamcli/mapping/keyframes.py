@@ -158,7 +158,7 @@ class KeyframeDatabase:
         number = self._number[index]
         return self.order[number - 1] if number else None
 
-    def beside(self, indices: Iterable[int], steps: int) -> set[int]:
+    def around(self, indices: Iterable[int], steps: int) -> set[int]:
         """Return keyframes and those that were inserted up to so many steps before or after."""
         numbers = {
             self._number[index] + step for index in indices for step in range(-steps, steps + 1)

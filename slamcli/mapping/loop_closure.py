@@ -167,7 +167,7 @@ class LoopCloser:
         Of its own fragment, without itself: where they lie is certain.
         """
         self._linked.update(graph.links)
-        about = self._database.beside(
+        about = self._database.around(
             [keyframe, *self._linked.linked.get(keyframe, [])], _STEPS_ABOUT
         )
         fragment = graph[keyframe].fragment

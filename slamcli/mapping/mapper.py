@@ -353,9 +353,17 @@ class Mapper:
         prepared: PreparedFrame,
         results: list[RegistrationResult],
         *,
-        is_keyframe: bool | None = None,
+        known: bool = False,
     ) -> PoseEstimate:
-        """Insert a frame by its links into the pose graph; close the loops of a new keyframe."""
+        """Insert a frame by its links into the pose graph; close the loops of a new keyframe.
+
+        Parameters
+        ----------
+        prepared : PreparedFrame
+        results : list of RegistrationResult
+        known : bool
+            Whether an earlier keyframe shows the frame's floor, so that it becomes none.
+        """
         results = [
             camera_tilt.with_rocking(
                 result, self._tracking.tilts_radians, self.calibration, self.options
@@ -374,7 +382,7 @@ class Mapper:
         self._motion_model.update(prepared.index)
         last_lost, self._tracking.last_lost = self._tracking.last_lost, None
         self._tracking.last_placed = prepared
-        if self._tracker.is_keyframe(results) if is_keyframe is None else is_keyframe:
+        if not known and self._tracker.is_keyframe(results):
             self._add_keyframe(prepared)
             estimate = self._join_fragments(prepared)
             if links[0].kind != "loop":
@@ -388,7 +396,7 @@ class Mapper:
     ) -> PoseEstimate:
         """Insert a frame of floor that is known; those that follow are tracked by what shows it."""
         assert loop.link is not None
-        self._insert(prepared, [step], is_keyframe=False)
+        self._insert(prepared, [step], known=True)
         self._backend.add_links(prepared.index, [loop.link])
         self._tracking.add_keyframe(loop.keyframe, self.options.recent_keyframes, revisited=True)
         return self._graph[prepared.index]

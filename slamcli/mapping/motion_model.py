@@ -111,7 +111,7 @@ class MotionModel:
             # Where a lost frame lies is not known, but how the robot moves on from there.
             start, first = keyframe.index, Pose2()
         elif known.fragment == self._graph[frame].fragment:
-            first = self._motion_from(keyframe)
+            first = self._between(keyframe, frame)
         else:
             return None
         predicted = repeated(first, motion, prepared.index - start)
@@ -130,9 +130,7 @@ class MotionModel:
             or self._graph[keyframe.index].fragment != self._graph[latest.index].fragment
         ):
             return None
-        keyframe_from_latest = self._graph.pose(keyframe.index).inverse() @ self._graph.pose(
-            latest.index
-        )
+        keyframe_from_latest = self._between(keyframe, latest.index)
         return dense.MotionPrior(keyframe_from_latest @ step.a_from_b, step.covariance)
 
     def _prediction_sigmas(self) -> tuple[float, float, float]:
@@ -147,8 +145,7 @@ class MotionModel:
         """Return ``keyframe_from_b`` by way of a link from another keyframe of its fragment."""
         if self._graph[link.a].fragment != self._graph[keyframe.index].fragment:
             return None
-        keyframe_from_a = self._graph.pose(keyframe.index).inverse() @ self._graph.pose(link.a)
-        return keyframe_from_a @ link.a_from_b
+        return self._between(keyframe, link.a) @ link.a_from_b
 
     def window(self, keyframe: PreparedFrame, prepared: PreparedFrame) -> dense.SearchWindow | None:
         """Return where a frame may lie for a placed one; None where pixels alone are no proof.
@@ -160,8 +157,9 @@ class MotionModel:
             return window
         if self._tracking.motion is None:
             return self._window_everywhere(keyframe, prepared)
-        steps = prepared.index - self._tracking.motion_frame
-        return self._window_from_motion(self._tracking.motion, self._motion_from(keyframe), steps)
+        frame = self._tracking.motion_frame
+        start, steps = self._between(keyframe, frame), prepared.index - frame
+        return self._window_from_motion(self._tracking.motion, start, steps)
 
     def window_after_lost(
         self, last_lost: PreparedFrame, prepared: PreparedFrame
@@ -222,10 +220,9 @@ class MotionModel:
         predicted = repeated(start, motion, steps)
         return dense.SearchWindow(predicted, self._angle_radians, radius_metres)
 
-    def _motion_from(self, keyframe: PreparedFrame) -> Pose2:
-        """Return ``keyframe_from_latest`` of the frame whose motion is the latest known."""
-        latest = self._graph.pose(self._tracking.motion_frame)
-        return self._graph.pose(keyframe.index).inverse() @ latest
+    def _between(self, keyframe: PreparedFrame, frame: int) -> Pose2:
+        """Return ``keyframe_from_frame`` of a placed frame, by the map."""
+        return self._graph.pose(keyframe.index).inverse() @ self._graph.pose(frame)
 
 
 def repeated(start: Pose2, motion: Pose2, steps: int) -> Pose2:

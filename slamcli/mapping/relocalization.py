@@ -159,7 +159,7 @@ class Relocalizer:
                 f"extend the map (to {result.keyframe.name})"
             )
             return replace(result, link=None, reason=reason)
-        return replace(result, link=replace(result.link, kind="loop"))
+        return result.as_loop()
 
     def _is_unmistakable(self, result: RegistrationResult) -> bool:
         keyframe, prepared, fit = result.keyframe, result.prepared, result.fit
@@ -188,7 +188,7 @@ class Relocalizer:
             return None
         if halved and (_floor_repeats(result) or _is_rough(result)):
             return None
-        return replace(result, link=replace(result.link, kind="loop"))
+        return result.as_loop()
 
     def _track_votes(
         self, candidate: PlaceCandidate, prepared: PreparedFrame

@@ -8,7 +8,6 @@ link to both, which closes the loop anew. A map grows with its floor so, not wit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from slamcli.mapping.motion_model import MotionModel, repeated
 from slamcli.mapping.tracking import Tracker
 from slamcli.mapping.tracking_state import TrackingState
 from slamcli.registration import RegistrationResult
-from slamcli.stages import covisibility
+from slamcli.stages import covisibility, dense
 
 # Frames ahead for which a keyframe is chosen: it is to serve as many as possible.
 _FRAMES_AHEAD = 8
@@ -77,32 +76,35 @@ class Revisiting:
         if not self._tracker.is_steady(prepared):
             return []
         newest = self._tracking.keyframes[-1]
-        known = self._known_keyframe(newest, prepared)
+        prior = self._motion_model.prior(newest, prepared)
+        if prior is None:
+            return []
+        known = self._known_keyframe(newest, prior.a_from_b)
         if known is None:
             return []
-        step = self._tracker.track_closely(newest, prepared)
+        step = self._tracker.track_closely(newest, prepared, prior)
         if step is None or step.link is None:
             return []
         guess = self._motion_model.predict_from_link(known, step.link)
         if guess is None:
             return []
-        loop = self._tracker.track_known(known, prepared, guess)
+        expected = dense.MotionPrior(guess, prior.covariance)
+        loop = self._tracker.track_known(known, prepared, expected)
         if loop is None or loop.link is None or loop.link.score < _MIN_SCORE:
             return []
-        return [step, replace(loop, link=replace(loop.link, kind="loop"))]
+        return [step, loop.as_loop()]
 
     def _known_keyframe(
-        self, newest: PreparedFrame, prepared: PreparedFrame
+        self, newest: PreparedFrame, newest_from_now: Pose2
     ) -> PreparedFrame | None:
         """Return the stored keyframe that shows the floor of most frames from this one on."""
-        prior = self._motion_model.prior(newest, prepared)
         motion = self._tracking.motion
-        if prior is None or motion is None or not self._graph.is_placed(newest.index):
+        if motion is None or not self._graph.is_placed(newest.index):
             return None
         candidates = self._loop_closer.connected(newest.index, self._graph)
         if not candidates:
             return None
-        here = self._graph.pose(newest.index) @ prior.a_from_b
+        here = self._graph.pose(newest.index) @ newest_from_now
         ahead = [repeated(here, motion, steps) for steps in range(_FRAMES_AHEAD)]
         served = self._frames_served(candidates, ahead)
         best = int(np.argmax(served))

@@ -112,15 +112,12 @@ class Tracker:
         )
 
     def track_closely(
-        self, keyframe: PreparedFrame, prepared: PreparedFrame
+        self, keyframe: PreparedFrame, prepared: PreparedFrame, prior: dense.MotionPrior
     ) -> RegistrationResult | None:
         """Register a frame that shares less with the newest keyframe; by its sparse view if it can.
 
         None where its pixels do not prove the motion.
         """
-        prior = self._motion_model.prior(keyframe, prepared)
-        if prior is None:
-            return None
         options = replace(
             self._options_of(keyframe), keyframe_overlap=direct.MIN_OVERLAP_OF_PERIODS
         )
@@ -128,21 +125,9 @@ class Tracker:
         return sparsely or self._track_directly(keyframe, prepared, None)
 
     def track_known(
-        self, keyframe: PreparedFrame, prepared: PreparedFrame, guess: Pose2
+        self, keyframe: PreparedFrame, prepared: PreparedFrame, prior: dense.MotionPrior
     ) -> RegistrationResult | None:
-        """Register a frame to a keyframe of floor that is seen again, by its sparse view alone.
-
-        Parameters
-        ----------
-        keyframe, prepared : PreparedFrame
-        guess : Pose2
-            ``keyframe_from_prepared`` by the map.
-        """
-        newest = self._tracking.keyframes[-1]
-        step = self._motion_model.prior(newest, prepared)
-        if step is None:
-            return None
-        prior = dense.MotionPrior(guess, step.covariance)
+        """Register a frame to a keyframe of floor that is seen again, by its sparse view alone."""
         return self._track_sparsely(keyframe, prepared, prior, self._options_of_known)
 
     def _track_sparsely(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from slamcli.core.arrays import Float64Array
@@ -87,6 +87,11 @@ class RegistrationResult:
     rival: float = math.nan
     search: dense.Search | None = None
     partial: Link | None = None
+
+    def as_loop(self) -> RegistrationResult:
+        """Return the same result, its link to floor that was seen before: of kind ``loop``."""
+        assert self.link is not None
+        return replace(self, link=replace(self.link, kind="loop"))
 
     @property
     def score(self) -> float:

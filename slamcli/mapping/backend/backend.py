@@ -102,11 +102,13 @@ class Backend:
         """
         links = without_unlikely(links)
         predicted = self.graph.predict_pose(prepared, links)
-        moved = self._step_from_latest(predicted) if revisited else most_certain(links)
-        odom = self._odom_after(prepared, moved)
+        moved = links
+        if revisited and (step := self._step_from_latest(predicted)) is not None:
+            moved = [step]
+        odom = self._odom_after(prepared, most_certain(moved))
         self.graph.set_estimate(replace(predicted, odom_from_robot=odom))
         self.add_links(prepared.index, links)
-        self._compare_odometry(links if moved is None or not revisited else [moved])
+        self._compare_odometry(moved)
         return self.graph[prepared.index]
 
     def _step_from_latest(self, placed: PoseEstimate) -> Link | None:
