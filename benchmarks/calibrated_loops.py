@@ -11,26 +11,22 @@ from __future__ import annotations
 
 import argparse
 import math
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
 import sweep
 from calibration_targets import Photo, render, true_points
 from drives import make_drive
+from placements import accuracy
 
 from slamcli.core.camera.calibration import Calibration
 from slamcli.core.geometry import apply_homography
 from slamcli.core.records import PoseEstimate
-from slamcli.io.poses import write_poses
-from slamcli.io.trajectories import read_trajectory
 from slamcli.mapping.mapper import Mapper
 from slamcli.run.calibrate import CalibrateOptions, find_target
 from slamcli.simulation.config import CameraOptions, SimulationOptions
 from slamcli.stages import calibrate
-from slamcli.stages.evaluation import evaluate
 
 SEED = 3
 SIDES_METRES = (0.1, 0.2, 0.3048)
@@ -94,11 +90,7 @@ def measure(cell: Cell) -> sweep.Row:
     for index in range(cell.frames):
         mapper.update(drive.frame(index))
     estimates = mapper.finish()
-    with tempfile.TemporaryDirectory() as scratch:
-        path = Path(scratch) / "poses.csv"
-        write_poses(path, estimates)
-        truth = read_trajectory(drive.folder / "truth.csv")
-        whole = evaluate(read_trajectory(path), truth, tolerance_seconds=0.01, delta=1).whole
+    whole = accuracy(estimates, drive.folder)
     scale, scaled = errors_of_scale(estimates, drive.truth)
     assert whole.consistency is not None
     return {

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import tempfile
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +18,11 @@ from slamcli.core.config import MapperOptions
 from slamcli.core.geometry import Pose2
 from slamcli.core.records import Frame, Link, PoseEstimate
 from slamcli.core.telemetry import OdometryReading
+from slamcli.core.trajectory import Accuracy
+from slamcli.io.poses import write_poses
+from slamcli.io.trajectories import read_trajectory
 from slamcli.mapping.mapper import Mapper
+from slamcli.stages.evaluation import evaluate
 
 FALSE_METRES, FALSE_DEGREES = 0.02, 1.0
 # An edge is found to half a pixel at each of its points, which are 5 mm apart; it is seen where a
@@ -119,6 +125,15 @@ def place(
     keyframes = 0 if floor_map is None else len(floor_map.keyframes)
     false_frames = _false_frames(estimates, truth)
     return Placements(estimates, links, false_links, false_frames, seconds, keyframes)
+
+
+def accuracy(estimates: Sequence[PoseEstimate], drive: Path) -> Accuracy:
+    """Return the errors of a map's poses against the truth in a drive's folder."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "poses.csv"
+        write_poses(path, estimates)
+        truth = read_trajectory(drive / "truth.csv")
+        return evaluate(read_trajectory(path), truth, tolerance_seconds=0.01, delta=1).whole
 
 
 def _false_frames(estimates: Sequence[PoseEstimate], truth: Sequence[Pose2]) -> list[int]:

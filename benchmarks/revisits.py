@@ -16,12 +16,12 @@ import argparse
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 import sweep
 from drives import make_drive
-from placements import place
+from placements import accuracy, place
 
 from slamcli.core.geometry import Pose2
 from slamcli.simulation import floors
@@ -132,14 +132,7 @@ def measure(cell: Cell, *, reasons: bool) -> sweep.Row:
     result = place(map(drive.frame, range(FRAMES)), drive.truth, drive.calibration, None, readings)
     if reasons:
         print("\n".join(result.describe()))
-    placed = [e for e in result.estimates if e.map_from_robot is not None and e.fragment == 0]
-    errors = [
-        (drive.truth[a.index].inverse() @ drive.truth[b.index]).inverse()
-        @ (a.map_from_robot.inverse() @ b.map_from_robot)
-        for a, b in pairwise(placed)
-        if a.map_from_robot is not None and b.map_from_robot is not None
-    ]
-    steps = np.array([error.translation_length for error in errors])
+    found = accuracy(result.estimates, drive.folder)
     return {
         "links": len(result.links),
         "false_links": len(result.false_links),
@@ -147,20 +140,10 @@ def measure(cell: Cell, *, reasons: bool) -> sweep.Row:
         "tracked": len(result.tracked),
         "fragments": result.fragments,
         "keyframes": result.keyframes,
-        "step_error_millimetres": round(1e3 * float(np.sqrt(np.mean(steps**2))), 4),
-        "map_error_millimetres": round(1e3 * _map_error_metres(placed, drive.truth), 4),
+        "step_error_millimetres": round(1e3 * found.relative.rmse, 4),
+        "map_error_millimetres": round(1e3 * found.absolute.rmse, 4),
         "seconds": round(result.seconds, 2),
     }
-
-
-def _map_error_metres(placed: list, truth: list[Pose2]) -> float:
-    """Return the absolute trajectory error after the best rigid motion."""
-    found = np.array([(e.map_from_robot.x, e.map_from_robot.y) for e in placed])
-    true = np.array([(truth[e.index].x, truth[e.index].y) for e in placed])
-    found, true = found - found.mean(axis=0), true - true.mean(axis=0)
-    u, _, v = np.linalg.svd(found.T @ true)
-    rotation = u @ np.diag([1.0, np.sign(np.linalg.det(u @ v))]) @ v
-    return float(np.sqrt(np.mean(np.sum((found @ rotation - true) ** 2, axis=1))))
 
 
 def summarise(rows: list[dict[str, str]]) -> None:
